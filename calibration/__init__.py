@@ -1,0 +1,1 @@
+"""From logged readings to an antenna file, or a clear no."""

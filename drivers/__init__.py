@@ -1,0 +1,1 @@
+"""The wires: radios, vehicles and position sources, and emulators of each."""

@@ -1,0 +1,1 @@
+"""Devices that answer on the wire as the real ones do, and misbehave on request."""

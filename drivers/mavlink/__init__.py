@@ -1,0 +1,1 @@
+"""MAVLink vehicles, through pymavlink's dialect codec over our own transport."""

@@ -1,0 +1,1 @@
+"""Digi XBee modules as passive receivers, through the digi-xbee library."""

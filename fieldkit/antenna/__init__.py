@@ -1,0 +1,1 @@
+"""How received power falls with distance, and the antenna file that says so."""

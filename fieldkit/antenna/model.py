@@ -1,0 +1,42 @@
+"""Received power against distance for an omnidirectional antenna pair."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fieldkit.messages import FloatArray
+
+MIN_RANGE_M = 0.05
+"""The model has no near field: shorter ranges are clamped to this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Antenna:
+    """A radio pair as calibrated: log-distance loss, Gaussian noise in dB, integer readings, a threshold.
+
+    A reading is the nearest integer to a normal deviate of mean `mean_rss_dbm` and deviation `sigma_db`.
+    It is received if and only if that integer exceeds `threshold_dbm`, and reported as at most
+    `saturation_dbm` (PRWA eq 3 and 4, with the resolution that hearing depends on the reading, not on its mean).
+    """
+
+    path_loss_exponent: float
+    """beta: 2 in free space, 1.5 to 4 near the ground."""
+    power_at_1m_dbm: float
+    """Mean received power at 1 m from the transmitter the calibration used, at its setting then."""
+    sigma_db: float
+    threshold_dbm: float
+    """zeta: the strongest integer reading that is NOT received."""
+    saturation_dbm: float | None = None
+    """The receiver reports no more than this; None where it was never reached."""
+
+    def mean_rss_dbm(self, range_m: ArrayLike, power_db: ArrayLike = 0.0) -> FloatArray:
+        """Mean reading at `range_m` from a source `power_db` above the calibrated transmitter."""
+        clamped = np.maximum(np.asarray(range_m, dtype=float), MIN_RANGE_M)
+        power_dbm = self.power_at_1m_dbm + np.asarray(power_db, dtype=float)
+        return power_dbm - 10.0 * self.path_loss_exponent * np.log10(clamped)
+
+    def nominal_range_m(self, power_db: ArrayLike = 0.0) -> FloatArray:
+        """Range at which the mean reading falls to the threshold: about half the packets are heard there."""
+        margin_db = self.power_at_1m_dbm + np.asarray(power_db, dtype=float) - self.threshold_dbm
+        return np.power(10.0, margin_db / (10.0 * self.path_loss_exponent))

@@ -1,0 +1,64 @@
+"""The `fieldkit` command: every subcommand is found by entry point, so that a user's package can add one."""
+
+import logging
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from fieldkit import __version__, plugins
+from fieldkit.errors import FieldkitError
+
+HELP = """Find unknown, short-lived radio transmitters with a team of small robots.
+
+Start with 'fieldkit demo': one whole mission on emulated radios and rovers.
+"""
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"fieldkit {__version__}")
+        raise typer.Exit
+
+
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what drivers and the runner do.")] = False,
+) -> None:
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING,
+        format="%(asctime)s %(levelname)s %(name)s: %(message)s",
+        stream=sys.stderr,
+    )
+
+
+def build() -> typer.Typer:
+    """The command tree: a `typer.Typer` under an entry point becomes a group, a function a command."""
+    app = typer.Typer(
+        help=HELP, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
+    )
+    app.callback()(_root)
+    for name, thing in plugins.load_all("fieldkit.commands"):
+        _add(app, name, thing)
+    return app
+
+
+def _add(app: typer.Typer, name: str, thing: Any) -> None:
+    if isinstance(thing, typer.Typer):
+        app.add_typer(thing, name=name)
+    else:
+        app.command(name)(thing)
+
+
+def main() -> None:
+    """Run the command line; errors made on purpose are printed plainly, with their exit code."""
+    try:
+        build()()
+    except FieldkitError as error:
+        typer.echo(f"fieldkit: {error}", err=True)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        typer.echo("fieldkit: interrupted", err=True)
+        sys.exit(130)

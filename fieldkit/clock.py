@@ -1,0 +1,106 @@
+"""The only file that reads time: real, scaled and virtual clocks.
+
+`now_ns` is UTC mission time in nanoseconds; `elapsed_s` never steps back and is for durations and deadlines.
+Both run at the clock's rate: under a clock scaled by 10, `sleep(1.0)` takes a tenth of a second.
+"""
+
+import asyncio
+import time
+from dataclasses import dataclass, field
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Time, as the mission sees it."""
+
+    rate: float
+    """Mission seconds per wall second."""
+
+    def now_ns(self) -> int:
+        """UTC, in nanoseconds."""
+        ...
+
+    def elapsed_s(self) -> float:
+        """Seconds since some fixed moment; monotonic."""
+        ...
+
+    async def sleep(self, duration_s: float) -> None:
+        """Wait for `duration_s` seconds of mission time."""
+        ...
+
+
+class RealClock:
+    """Wall time, anchored once: a step of the system clock does not move a mission's time stamps."""
+
+    rate = 1.0
+
+    def __init__(self) -> None:
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns() + self._offset_ns
+
+    def elapsed_s(self) -> float:
+        return time.monotonic()
+
+    async def sleep(self, duration_s: float) -> None:
+        await asyncio.sleep(max(0.0, duration_s))
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledClock:
+    """Mission time that runs `rate` times as fast as the wall's. Picklable: processes share one time."""
+
+    rate: float
+    start_ns: int = field(default_factory=time.time_ns)
+    """Mission time at the anchor, UTC."""
+    anchor_ns: int = field(default_factory=time.monotonic_ns)
+    """Monotonic wall time at the anchor; the same for all processes of one machine."""
+
+    def now_ns(self) -> int:
+        return self.start_ns + round((time.monotonic_ns() - self.anchor_ns) * self.rate)
+
+    def elapsed_s(self) -> float:
+        return (time.monotonic_ns() - self.anchor_ns) * 1e-9 * self.rate
+
+    async def sleep(self, duration_s: float) -> None:
+        await asyncio.sleep(max(0.0, duration_s) / self.rate)
+
+
+class VirtualClock:
+    """Time that moves only when told: for simulations and replay in a plain loop."""
+
+    rate = float("inf")
+
+    def __init__(self, start_ns: int = 0) -> None:
+        self._start_ns = start_ns
+        self._now_ns = start_ns
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def elapsed_s(self) -> float:
+        return (self._now_ns - self._start_ns) * 1e-9
+
+    def advance_to(self, t_ns: int) -> None:
+        """Move on to `t_ns`; moving back is ignored."""
+        self._now_ns = max(self._now_ns, t_ns)
+
+    async def sleep(self, duration_s: float) -> None:
+        self._now_ns += round(max(0.0, duration_s) * 1e9)
+        await asyncio.sleep(0)
+
+
+def wall_s() -> float:
+    """Wall seconds for measuring how long something took; never for deciding what a mission does."""
+    return time.perf_counter()
+
+
+def utc_stamp() -> str:
+    """The present moment as a sortable name for a folder, UTC: 20260102T030405Z."""
+    return time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+
+
+def wall_sleep(duration_s: float) -> None:
+    """Block the calling thread; for shells around hardware and child processes, never in an event loop."""
+    time.sleep(max(0.0, duration_s))

@@ -1,0 +1,1 @@
+"""Belief and planning: pure, clockless, on a grid of cells indexed [north, east]."""

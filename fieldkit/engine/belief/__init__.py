@@ -1,0 +1,1 @@
+"""What is believed about the sources after the detections and silences so far."""

@@ -1,0 +1,1 @@
+"""Where the robots should go next."""

@@ -1,0 +1,1 @@
+"""log p(what the team heard | a source in cell i transmitted)."""

@@ -1,0 +1,55 @@
+"""Every error fieldkit raises on purpose.
+
+FieldkitError
+ +-- ConfigError (ValueError)           a file or option says something impossible: nothing has moved
+ +-- DataError (ValueError)             readings or a recording cannot be used as asked
+ |    +-- RecordingError                a recording is damaged, from a newer schema, or not one
+ |    +-- ReplayMismatch                replaying gave another result than was recorded
+ +-- CalibrationRefused (ValueError)    the data cannot carry the calibration asked of it
+ +-- DeviceError (OSError)              a radio, vehicle or camera
+      +-- DeviceTimeout (TimeoutError)  it did not answer in time
+      +-- VehicleRefused                it answered no
+
+A message names the thing, what was expected, what came, and what to try. Commands print it and exit with code 2
+(`ReplayMismatch`: 1).
+"""
+
+
+class FieldkitError(Exception):
+    """The root: catch this at the outermost layer only."""
+
+    exit_code = 2
+
+
+class ConfigError(FieldkitError, ValueError):
+    """A configuration file or an option: names file, key path, what was expected and what was there."""
+
+
+class DataError(FieldkitError, ValueError):
+    """Readings or a recording cannot be used as asked."""
+
+
+class RecordingError(DataError):
+    """A recording is damaged beyond use, from a newer schema, or not a recording."""
+
+
+class ReplayMismatch(DataError):
+    """Replaying a recording gave another result than was recorded; names the first event that differs."""
+
+    exit_code = 1
+
+
+class CalibrationRefused(FieldkitError, ValueError):
+    """The data cannot carry the calibration asked of it; says why and what to collect."""
+
+
+class DeviceError(FieldkitError, OSError):
+    """A radio, vehicle or camera is missing, busy, broken or the wrong one."""
+
+
+class DeviceTimeout(DeviceError, TimeoutError):
+    """A device did not answer in time."""
+
+
+class VehicleRefused(DeviceError):
+    """A vehicle answered no; carries its own words."""

@@ -1,0 +1,1 @@
+"""Simulated truth: sources, the radio channel and robots that drive."""

@@ -1,0 +1,60 @@
+"""Transmitters nobody knows about: where they are, how strong, how often they send."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class TransientSource:
+    """A transmitter that sends short packets as a Poisson process. `power_db` is relative to the calibrated one."""
+
+    east_m: float
+    north_m: float
+    power_db: float
+    rate_hz: float
+
+
+def random_sources(
+    count: int,
+    size_east_m: float,
+    size_north_m: float,
+    power_levels_db: tuple[float, ...],
+    rate_hz: float,
+    rng: np.random.Generator,
+    *,
+    min_separation_m: float = 0.0,
+) -> list[TransientSource]:
+    """Sources uniformly over the field, each at one of the power levels, at least `min_separation_m` apart."""
+    sources: list[TransientSource] = []
+    attempts = 0
+    while len(sources) < count:
+        attempts += 1
+        if attempts > 10_000:
+            raise ValueError(f"{count} sources do not fit {min_separation_m} m apart in the field")
+        east, north = rng.uniform(0.0, size_east_m), rng.uniform(0.0, size_north_m)
+        power = float(rng.choice(power_levels_db))
+        if all(np.hypot(east - s.east_m, north - s.north_m) >= min_separation_m for s in sources):
+            sources.append(TransientSource(float(east), float(north), power, rate_hz))
+    return sources
+
+
+class Transmissions:
+    """The sources' packets in order of time: each source an independent Poisson process."""
+
+    def __init__(self, sources: list[TransientSource], rng: np.random.Generator, start_s: float = 0.0) -> None:
+        self.sources = sources
+        self._rng = rng
+        self._next_s = [start_s + rng.exponential(1.0 / s.rate_hz) for s in sources]
+
+    def until(self, t_s: float) -> list[tuple[float, TransientSource]]:
+        """Transmissions not yet given with time <= `t_s`, in order."""
+        due: list[tuple[float, TransientSource]] = []
+        while self._next_s:
+            index = int(np.argmin(self._next_s))
+            at_s = self._next_s[index]
+            if at_s > t_s:
+                break
+            due.append((at_s, self.sources[index]))
+            self._next_s[index] = at_s + self._rng.exponential(1.0 / self.sources[index].rate_hz)
+        return due
