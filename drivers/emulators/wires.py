@@ -1,0 +1,167 @@
+"""The wires emulated devices sit on: a pseudo-terminal, or TCP where there is none. For use inside an event loop."""
+
+import asyncio
+import contextlib
+import errno
+import os
+import random
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from drivers.emulators.xbee import REPLY_S, Module, Rewrite
+
+
+class Wire(Protocol):
+    """The device's end of a wire. `port` is what the host opens."""
+
+    port: str
+
+    async def open(self, on_bytes: Callable[[bytes], None]) -> None: ...
+
+    def write(self, data: bytes) -> bool:
+        """Send at once; False (and nothing sent) if the other side does not take it, as a UART would lose it."""
+        ...
+
+    def close(self) -> None:
+        """Unplug: the host's end fails."""
+        ...
+
+
+class PtyWire:
+    """A pseudo-terminal with a fixed name for the host: a symlink that points to whatever pty is there now."""
+
+    def __init__(self, link: str | None = None) -> None:
+        self._link = link
+        self.port = ""
+
+    async def open(self, on_bytes: Callable[[bytes], None]) -> None:
+        import tty
+
+        self._on_bytes = on_bytes
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        name = os.ttyname(self._slave)
+        if self._link is not None:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(self._link)
+            os.symlink(name, self._link)
+        self.port = self._link or name
+        self._loop = asyncio.get_running_loop()
+        self._loop.add_reader(self._master, self._readable)
+
+    def _readable(self) -> None:
+        try:
+            data = os.read(self._master, 4096)
+        except OSError as error:
+            if error.errno not in (errno.EAGAIN, errno.EIO):
+                raise
+            return
+        self._on_bytes(data)
+
+    def write(self, data: bytes) -> bool:
+        if self._master < 0:
+            return False
+        try:
+            sent = os.write(self._master, data)
+        except BlockingIOError:
+            return False
+        return sent == len(data)
+
+    def close(self) -> None:
+        if self._master >= 0:
+            self._loop.remove_reader(self._master)
+            os.close(self._master)
+            os.close(self._slave)
+            self._master = -1
+            if self._link is not None:
+                with contextlib.suppress(FileNotFoundError):
+                    os.unlink(self._link)
+
+
+class TcpWire:
+    """A TCP port with one client at a time, as serial servers do it; keeps its number over `close` and `open`."""
+
+    def __init__(self, host: str = "127.0.0.1", number: int = 0) -> None:
+        self._host, self._number = host, number
+        self.port = ""
+        self._server: asyncio.Server | None = None
+        self._client: asyncio.StreamWriter | None = None
+
+    async def open(self, on_bytes: Callable[[bytes], None]) -> None:
+        self._on_bytes = on_bytes
+        self._server = await asyncio.start_server(self._serve, self._host, self._number)
+        self._number = self._server.sockets[0].getsockname()[1]
+        self.port = f"socket://{self._host}:{self._number}"
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self._client is not None:
+            self._client.close()
+        self._client = writer
+        try:
+            while data := await reader.read(4096):
+                self._on_bytes(data)
+        except (ConnectionError, asyncio.CancelledError):
+            pass
+        finally:
+            writer.close()
+            if self._client is writer:
+                self._client = None
+
+    def write(self, data: bytes) -> bool:
+        if self._client is None or self._client.transport.get_write_buffer_size() > 65536:
+            return False
+        self._client.write(data)
+        return True
+
+    def close(self) -> None:
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        if self._client is not None:
+            self._client.transport.abort()
+            self._client = None
+
+
+def make_wire(link: str | None = None) -> Wire:
+    """A pty where the system has them, else TCP on the loopback."""
+    return PtyWire(link) if hasattr(os, "openpty") else TcpWire()
+
+
+class PluggedModule:
+    """A module on a wire: answers after the time a real one takes, and suffers faults on request."""
+
+    def __init__(self, module: Module, wire: Wire) -> None:
+        self.module = module
+        self.wire = wire
+        self.rewrite: Rewrite | None = None
+        """Applied to the next bytes the module writes, once."""
+        self.lost_writes = 0
+        self._delay = random.Random(module.serial_number)
+        self._free_at_s = 0.0
+
+    async def plug(self) -> None:
+        await self.wire.open(self._from_host)
+
+    def unplug(self) -> None:
+        self.wire.close()
+
+    def _from_host(self, data: bytes) -> None:
+        now_s = time.monotonic()
+        for reply in self.module.receive(data, now_s):
+            self._free_at_s = max(now_s, self._free_at_s) + self._delay.uniform(*REPLY_S)
+            asyncio.get_running_loop().call_later(self._free_at_s - now_s, self.write, reply)
+
+    def hear(self, rss_dbm: float, sender: int, payload: bytes, *, short_address: bool = False) -> bool:
+        """A packet on the air; True if it went out to the host."""
+        data = self.module.hear(rss_dbm, sender, payload, short_address=short_address)
+        return data is not None and self.write(data)
+
+    def write(self, data: bytes) -> bool:
+        """Put bytes on the wire, through the pending fault if there is one."""
+        if self.rewrite is not None:
+            data, self.rewrite = self.rewrite(data), None
+        sent = self.wire.write(data)
+        self.lost_writes += not sent
+        return sent

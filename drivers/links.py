@@ -1,0 +1,146 @@
+"""Byte links: blocking read and write over a serial device, `socket://`, `rfc2217://` or any pyserial URL.
+
+What is read here has no meaning yet; framing belongs to the drivers. Times are wall times: a wire does not
+know how fast mission time runs.
+"""
+
+import contextlib
+import os
+import select
+import socket
+from pathlib import Path
+from typing import Any, Protocol
+
+import serial
+
+from fieldkit.errors import DeviceError
+
+READ_TIMEOUT_S = 0.1
+"""A read gives up after this long, so that whoever reads can see that it should stop."""
+CONNECT_TIMEOUT_S = 3.0
+
+
+class ByteLink(Protocol):
+    """Bytes in, bytes out. Any method raises `OSError` when the device is gone."""
+
+    def read(self) -> bytes:
+        """What has arrived, waiting up to `READ_TIMEOUT_S` for the first byte; empty if nothing came."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device. Closing twice is harmless."""
+        ...
+
+
+class SerialLink:
+    """A device path or a pyserial URL, opened for one user only."""
+
+    def __init__(self, url: str, baud: int) -> None:
+        self._port: Any = serial.serial_for_url(url, do_not_open=True, baudrate=baud)
+        self._port.timeout = READ_TIMEOUT_S
+        self._port.write_timeout = 2.0
+        if os.name == "posix" and "://" not in url:
+            self._port.exclusive = True
+        self._port.open()
+
+    def read(self) -> bytes:
+        first: bytes = self._port.read(1)
+        if not first:
+            return b""
+        waiting = self._port.in_waiting
+        return first + self._port.read(waiting) if waiting else first
+
+    def write(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._port.close()
+
+
+class TcpLink:
+    """`socket://host:port`, read in chunks: pyserial's own handler reads one byte per call."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        # The radio end may vanish without a word; ask after 5 s of silence, where the system can.
+        for name, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3)):
+            if hasattr(socket, name):
+                self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+    def read(self) -> bytes:
+        ready, _, _ = select.select([self._socket], [], [], READ_TIMEOUT_S)
+        if not ready:
+            return b""
+        data = self._socket.recv(4096)
+        if not data:
+            raise ConnectionResetError("the other side closed the connection")
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._socket.sendall(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def open_link(url: str, baud: int, device: str) -> ByteLink:
+    """Open a link. `device` names it in errors. Raises `DeviceError` with the remedy."""
+    try:
+        if url.startswith("socket://"):
+            host, port = host_and_port(url.removeprefix("socket://"))
+            return TcpLink(host, port)
+        return SerialLink(url, baud)
+    except (OSError, ValueError) as error:
+        raise DeviceError(f"{device}: {_why(url, error)}") from error
+
+
+def host_and_port(text: str) -> tuple[str, int]:
+    """`host:port`, split. Raises `ValueError` that says what was expected."""
+    host, separator, port = text.rpartition(":")
+    if not separator or not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise ValueError(f"expected host:port, got {text!r}")
+    return host.strip("[]"), int(port)
+
+
+def _why(url: str, error: Exception) -> str:
+    """What kept a link from opening, and what to try."""
+    words = str(error).lower()
+    if isinstance(error, ConnectionRefusedError):
+        return f"{url}: connection refused; is the serial server (ser2net, emulator) running on that port?"
+    if isinstance(error, TimeoutError):
+        return f"{url}: no connection within {CONNECT_TIMEOUT_S:g} s; check the address and the network"
+    if "://" in url:
+        return f"{url}: {error}"
+    number = getattr(error, "errno", None)
+    if "lock" in words or number in (11, 16) or "busy" in words:
+        return (
+            f"{url} is in use by another program; close it (XCTU, a terminal, another fieldkit) and try again"
+        )
+    if number == 13 or "permission" in words or "access is denied" in words:
+        return f"no permission to open {url}; on Linux add yourself to the group 'dialout' and log in again"
+    if number in (2, 6) or "could not open port" in words or "no such file" in words:
+        return f"no device at {url}; {_ports_there_are()}"
+    return f"{url}: {error}"
+
+
+def _ports_there_are() -> str:
+    from serial.tools import list_ports
+
+    found = sorted(
+        port.device for port in list_ports.comports() if "ttyS" not in port.device or port.hwid != "n/a"
+    )
+    by_id = Path("/dev/serial/by-id")
+    if by_id.is_dir():
+        found += sorted(str(entry) for entry in by_id.iterdir())
+    return (
+        f"ports there are: {', '.join(found)}"
+        if found
+        else "no serial port is there: is the radio plugged in?"
+    )

@@ -1,0 +1,96 @@
+"""What a module says of itself, and whether it can tell how strongly it hears; read, never changed.
+
+Parameters: Digi 90000982 (S1), 90001500 (S2C 802.15.4), 90002273 (XBee 3 802.15.4).
+"""
+
+from dataclasses import dataclass, field
+
+from digi.xbee.devices import XBeeDevice
+from digi.xbee.exception import ATCommandException
+from digi.xbee.models.protocol import XBeeProtocol
+
+SATURATION_DBM = -40.0
+"""S1, S2C and XBee 3 are linear up to about -40 dBm; what is reported above is a lower bound."""
+SATURATION_PRO_DBM = -36.0
+S1_PRO = 0x18
+_NAMES = {0x17: "S1", S1_PRO: "S1 PRO"}
+_S1 = (0x17, S1_PRO)
+
+
+@dataclass(frozen=True, slots=True)
+class ModuleSettings:
+    """A module's answers. A parameter its firmware does not know is None."""
+
+    address: str
+    """SH and SL, 16 hexadecimal digits: the module's identity."""
+    hardware: int
+    """First byte of HV."""
+    hardware_name: str
+    protocol: XBeeProtocol
+    firmware: str
+    api_mode: int
+    values: dict[str, int | None] = field(default_factory=dict)
+    """AO, MM, MY, ID, CH."""
+
+    @property
+    def channel(self) -> int | None:
+        return self.values.get("CH")
+
+    @property
+    def saturation_dbm(self) -> float:
+        return SATURATION_PRO_DBM if self.hardware == S1_PRO else SATURATION_DBM
+
+    def describe(self) -> str:
+        channel = "" if self.channel is None else f", channel {self.channel}"
+        return f"XBee {self.hardware_name}, firmware {self.firmware}, address {self.address}{channel}"
+
+
+def read_settings(device: XBeeDevice) -> ModuleSettings:
+    """Ask an opened module. Raises the library's errors if it stops answering."""
+    hardware = device.get_hardware_version()
+    return ModuleSettings(
+        address=str(device.get_64bit_addr()),
+        hardware=hardware.code,
+        hardware_name=_NAMES.get(hardware.code, hardware.description),
+        protocol=device.get_protocol(),
+        firmware=bytes(device.get_firmware_version()).hex().upper(),
+        api_mode=device.operating_mode.code,
+        values={name: _ask(device, name) for name in ("AO", "MM", "MY", "ID", "CH")},
+    )
+
+
+def _ask(device: XBeeDevice, name: str) -> int | None:
+    try:
+        return int.from_bytes(device.get_parameter(name, apply=False), "big")
+    except ATCommandException:
+        return None
+
+
+def why_deaf(settings: ModuleSettings) -> str:
+    """Why this module cannot give strengths, with the remedy; empty if it can."""
+    if settings.protocol != XBeeProtocol.RAW_802_15_4:
+        return (
+            f"runs {settings.protocol.description} firmware, whose receive frames carry no RSSI; "
+            "write 802.15.4 firmware to it with XCTU (S2C: product family XB24C, function set 802.15.4 TH)"
+        )
+    output = settings.values["AO"]
+    if settings.hardware not in _S1 and output != 2:
+        return (
+            f"has AO={output}: its receive frames (0x9{'0' if not output else '1'}) carry no RSSI; "
+            "set AO=2 (legacy frames) with XCTU and write it (WR)"
+        )
+    return ""
+
+
+def advice(settings: ModuleSettings) -> list[str]:
+    """Settings that work but spoil listening, each with the remedy."""
+    found: list[str] = []
+    if settings.api_mode == 1:
+        found.append("AP=1: a damaged byte can cost the following frame; AP=2 resynchronises at once")
+    if settings.values["MM"] not in (1, None):
+        found.append(
+            f"MM={settings.values['MM']}: set MM=1, so that it acknowledges nothing and hears foreign frames"
+        )
+    if settings.values["MY"] not in (0xFFFE, 0xFFFF, None):
+        found.append(f"MY={settings.values['MY']:04X}: set MY=FFFE, so that receptions come as 64-bit frames")
+    return found
