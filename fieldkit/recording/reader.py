@@ -1,0 +1,231 @@
+"""Reading a recording, whole or cut: metadata at once, everything else in one pass in file order."""
+
+import json
+import logging
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fieldkit.errors import RecordingError
+from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate
+from fieldkit.recording import codec
+from fieldkit.recording.salvage import NO_INDEX, Contents, is_whole, walk
+from fieldkit.recording.schema import BY_NAME, HEADER, SCHEMA, BeliefDigest, Note, Topic
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One message of ours. `value` is what `kind` (the topic's family) says; `origin` only for commands."""
+
+    kind: str
+    inbox_number: int
+    log_time_ns: int
+    value: Any
+    origin: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BeliefGrid:
+    """The belief over the field as kept for viewers: float32 precision, (n_north, n_east), row 0 south."""
+
+    log_time_ns: int
+    name: str
+    values: FloatArray
+    cell_m: float
+    origin_m: tuple[float, float]
+
+
+@dataclass(slots=True)
+class Recording:
+    """A recording that has been opened. Each method makes its own pass through the file."""
+
+    path: Path
+    complete: bool
+    """Finished by its writer, and both CRCs over the file agree."""
+    problems: list[str]
+    """What is missing or damaged, each in words; empty for a complete file."""
+    fieldkit_version: str
+    metadata: dict[str, Any]
+    mission_toml: str
+    antenna_toml: str
+    seconds_missing: float = 0.0
+    """Time between the neighbours of lost events; what a cut took off the end is not in it (under 1 s)."""
+    counts: Counter[str] = field(default_factory=Counter)
+    """Messages per topic; filled for a damaged file or by `summary`."""
+
+    @property
+    def missing(self) -> str:
+        """What is missing, as one sentence; empty for a complete file."""
+        return "; ".join(self.problems)
+
+    def items(self, *kinds: str) -> Iterator[Item]:
+        """Everything of ours in file order, or only some kinds: event, command, detection, sources, plan,
+        belief, note, result.
+
+        Raises `RecordingError` where a message cannot be understood, naming it.
+        """
+        for channel, message in walk(self.path, Contents()):
+            topic = BY_NAME.get(channel.topic)
+            if topic is None or topic is HEADER or (kinds and topic.family not in kinds):
+                continue
+            value, origin = self._decode(topic, message.data, message.sequence)
+            yield Item(topic.family, message.sequence, message.log_time, value, origin)
+
+    def events(self) -> Iterator[tuple[int, int, Event]]:
+        """(inbox number, log time in ns, event): exactly what entered the kernel, in that order."""
+        for item in self.items("event"):
+            yield item.inbox_number, item.log_time_ns, item.value
+
+    def commands(self) -> Iterator[tuple[int, int, str, Command]]:
+        """(inbox number of the event that led to it, log time in ns, "kernel" or "safety", command)."""
+        for item in self.items("command"):
+            yield item.inbox_number, item.log_time_ns, item.origin, item.value
+
+    def detections(self) -> Iterator[tuple[int, int, Detection]]:
+        """(inbox number, log time in ns, detection)."""
+        for item in self.items("detection"):
+            yield item.inbox_number, item.log_time_ns, item.value
+
+    def sources(self) -> Iterator[tuple[int, int, list[SourceEstimate]]]:
+        """(inbox number, log time in ns, all sources believed in then)."""
+        for item in self.items("sources"):
+            yield item.inbox_number, item.log_time_ns, item.value
+
+    def plans(self) -> Iterator[tuple[int, int, Plan]]:
+        """(inbox number, log time in ns, plan)."""
+        for item in self.items("plan"):
+            yield item.inbox_number, item.log_time_ns, item.value
+
+    def digests(self) -> Iterator[tuple[int, int, BeliefDigest]]:
+        """(inbox number, log time in ns, the belief's hash): what a replay has to reproduce."""
+        for item in self.items("belief"):
+            yield item.inbox_number, item.log_time_ns, item.value
+
+    def notes(self) -> Iterator[tuple[int, Note]]:
+        """(log time in ns, note)."""
+        for item in self.items("note"):
+            yield item.log_time_ns, item.value
+
+    def result(self) -> dict[str, Any] | None:
+        """How the mission ended; None where it was cut before its end."""
+        return next((item.value for item in self.items("result")), None)
+
+    def beliefs(self, name: str = "p") -> Iterator[BeliefGrid]:
+        """The belief over the field as time goes on."""
+        from foxglove_schemas_protobuf.Grid_pb2 import Grid
+
+        from fieldkit.recording.viewer import grid_values
+
+        for channel, message in walk(self.path, Contents()):
+            if channel.topic == f"/view/belief/{name}":
+                values, cell_m, origin_m, called = grid_values(Grid.FromString(message.data))
+                yield BeliefGrid(message.log_time, called, values, cell_m, origin_m)
+
+    def summary(self) -> dict[str, Any]:
+        """Duration, counts per topic, whether complete and what is missing: plain values, one full pass."""
+        first = last = None
+        counts: Counter[str] = Counter()
+        for channel, message in walk(self.path, Contents()):
+            counts[channel.topic] += 1
+            if channel.topic != HEADER.name:
+                first = message.log_time if first is None else min(first, message.log_time)
+                last = message.log_time if last is None else max(last, message.log_time)
+        self.counts = counts
+        return {
+            "recording": str(self.path),
+            "bytes": self.path.stat().st_size,
+            "complete": self.complete,
+            "missing": self.missing,
+            "seconds_missing": round(self.seconds_missing, 3),
+            "start_ns": first,
+            "duration_s": 0.0 if first is None or last is None else (last - first) * 1e-9,
+            "counts": dict(sorted(counts.items())),
+            "fieldkit": self.fieldkit_version,
+            "metadata": self.metadata,
+        }
+
+    def _decode(self, topic: Topic, data: bytes, number: int) -> tuple[Any, str]:
+        try:
+            values = json.loads(data)
+            if topic.family == "sources":
+                return [codec.decode(SourceEstimate, source) for source in values["sources"]], ""
+            if topic.kind is None:
+                return values, ""
+            origin = values.pop("origin", "") if topic.family == "command" else ""
+            return codec.decode(topic.kind, values), origin
+        except (KeyError, TypeError, ValueError) as error:
+            raise RecordingError(
+                f"{self.path}: message {number} on {topic.name} cannot be understood ({error}); "
+                f"it was written by fieldkit {self.fieldkit_version}: read it with that version"
+            ) from error
+
+
+def open_recording(path: Path | str) -> Recording:
+    """Open a recording. A cut or damaged one is opened too: it says what is missing and warns once.
+
+    Raises `RecordingError` where the file is missing, empty, not a recording, from a newer schema, or cut
+    before its first chunk was on disk.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such recording; name the mission.mcap in a folder under runs/")
+    whole = is_whole(path)
+    header = _header(path)
+    recording = Recording(
+        path=path,
+        complete=whole,
+        problems=[],
+        fieldkit_version=str(header.get("fieldkit", "")),
+        metadata=header.get("metadata", {}),
+        mission_toml=header.get("mission_toml", ""),
+        antenna_toml=header.get("antenna_toml", ""),
+    )
+    if not whole:
+        _examine(recording)
+        logger.warning("%s: not complete: %s", path, recording.missing)
+    return recording
+
+
+def _header(path: Path) -> dict[str, Any]:
+    contents = Contents()
+    for channel, message in walk(path, contents):
+        if channel.topic != HEADER.name:
+            break
+        header = json.loads(message.data)
+        schema = header.get("schema")
+        if schema is None or schema > SCHEMA:
+            raise RecordingError(
+                f"{path}: recording schema {schema} is newer than this fieldkit knows ({SCHEMA}); "
+                "update fieldkit"
+            )
+        return header
+    if contents.problems:
+        raise RecordingError(
+            f"{path}: its beginning cannot be read ({contents.problems[0]}); no part of it is usable"
+        )
+    raise RecordingError(f"{path}: is MCAP but not a fieldkit recording (it has no {HEADER.name} message)")
+
+
+def _examine(recording: Recording) -> None:
+    """Find out what a damaged file lacks: broken chunks, and gaps in the inbox numbers."""
+    contents = Contents()
+    gaps: list[str] = []
+    number, at_ns, last_ns = None, 0, 0
+    for channel, message in walk(recording.path, contents):
+        topic = BY_NAME.get(channel.topic)
+        recording.counts[channel.topic] += 1
+        last_ns = max(last_ns, message.log_time)
+        if topic is None or topic.family != "event":
+            continue
+        if number is not None and message.sequence != number + 1:
+            lost_s = (message.log_time - at_ns) * 1e-9
+            recording.seconds_missing += max(0.0, lost_s)
+            gaps.append(f"events {number + 1} to {message.sequence - 1} are missing ({lost_s:.2f} s)")
+        number, at_ns = message.sequence, message.log_time
+    recording.problems = [*contents.problems, *gaps]
+    if not recording.problems:
+        recording.problems.append(NO_INDEX)

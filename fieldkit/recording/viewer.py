@@ -1,0 +1,131 @@
+"""What other people's viewers show: Foxglove's protobuf messages by their exact names.
+
+Written in addition to our own topics and never read back by replay. The scene is in the frame `field`:
+x east, y north, z up, metres from the field's south-west corner.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from fieldkit.geo import FieldFrame
+from fieldkit.messages import FloatArray, Pose, SourceEstimate
+
+FRAME = "field"
+_LEVELS = {"debug": Log.DEBUG, "info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
+_COLOURS = {"found": (0.1, 0.6, 0.2), "candidate": (0.95, 0.6, 0.1), "doubtful": (0.6, 0.6, 0.6)}
+
+
+def stamp(t_ns: int) -> Timestamp:
+    """Nanoseconds as protobuf's time stamp."""
+    return Timestamp(seconds=t_ns // 1_000_000_000, nanos=t_ns % 1_000_000_000)
+
+
+def pose_in_frame(pose: Pose) -> PoseInFrame:
+    """A robot's pose. Viewers measure yaw counter-clockwise from east."""
+    message = PoseInFrame(timestamp=stamp(pose.t_ns), frame_id=FRAME)
+    _place(message.pose, pose.east_m, pose.north_m, pose.up_m, pose.heading_deg)
+    return message
+
+
+def transform(pose: Pose) -> FrameTransform:
+    """The robot's own frame (x ahead) under `field`, so that viewers can follow it."""
+    message = FrameTransform(timestamp=stamp(pose.t_ns), parent_frame_id=FRAME, child_frame_id=pose.robot)
+    message.translation.x, message.translation.y, message.translation.z = pose.east_m, pose.north_m, pose.up_m
+    half = math.radians(90.0 - pose.heading_deg) / 2.0
+    message.rotation.z, message.rotation.w = math.sin(half), math.cos(half)
+    return message
+
+
+def location_fix(pose: Pose, frame: FieldFrame) -> LocationFix:
+    """A robot's pose as latitude and longitude, for the map."""
+    latitude, longitude, altitude = frame.to_geodetic(pose.east_m, pose.north_m, pose.up_m)
+    variance = pose.sigma_m**2
+    return LocationFix(
+        timestamp=stamp(pose.t_ns),
+        frame_id=pose.robot,
+        latitude=latitude,
+        longitude=longitude,
+        altitude=altitude,
+        position_covariance=[variance, 0, 0, 0, variance, 0, 0, 0, variance],
+        position_covariance_type=LocationFix.DIAGONAL_KNOWN if variance else LocationFix.UNKNOWN,
+    )
+
+
+def grid(t_ns: int, values: FloatArray, cell_m: float, origin_m: tuple[float, float], name: str) -> Grid:
+    """Values over the field (n_north, n_east), row 0 south, as float32."""
+    rows = np.ascontiguousarray(values, dtype="<f4")
+    message = Grid(
+        timestamp=stamp(t_ns),
+        frame_id=FRAME,
+        column_count=rows.shape[1],
+        row_stride=rows.shape[1] * 4,
+        cell_stride=4,
+        fields=[PackedElementField(name=name, offset=0, type=PackedElementField.FLOAT32)],
+        data=rows.tobytes(),
+    )
+    _place(message.pose, *origin_m, 0.0, 90.0)
+    message.cell_size.x = message.cell_size.y = cell_m
+    return message
+
+
+def grid_values(message: Grid) -> tuple[FloatArray, float, tuple[float, float], str]:
+    """The opposite of `grid`: values (n_north, n_east), cell size, origin and name."""
+    values = np.frombuffer(message.data, dtype="<f4").reshape(-1, message.column_count).astype(float)
+    origin = (message.pose.position.x, message.pose.position.y)
+    return values, message.cell_size.x, origin, message.fields[0].name
+
+
+def scene(t_ns: int, sources: Sequence[SourceEstimate]) -> SceneUpdate:
+    """Each source as a disc of its two-sigma ellipse, with its number; earlier discs are taken away."""
+    update = SceneUpdate()
+    everything = update.deletions.add()
+    everything.timestamp.CopyFrom(stamp(t_ns))
+    everything.type = everything.ALL
+    for source in sources:
+        entity = update.entities.add()
+        entity.timestamp.CopyFrom(stamp(t_ns))
+        entity.frame_id, entity.id = FRAME, f"source {source.ident}"
+        red, green, blue = _COLOURS[source.state]
+        disc = entity.cylinders.add()
+        _place(disc.pose, source.east_m, source.north_m, 0.0, 90.0 - _ellipse(source.cov_m2)[2])
+        disc.size.x, disc.size.y, disc.size.z = (*_ellipse(source.cov_m2)[:2], 0.02)
+        disc.bottom_scale = disc.top_scale = 1.0
+        disc.color.CopyFrom(Color(r=red, g=green, b=blue, a=0.6))
+        text = entity.texts.add()
+        _place(text.pose, source.east_m, source.north_m, 0.3, 90.0)
+        text.billboard, text.scale_invariant, text.font_size = True, True, 14.0
+        text.color.CopyFrom(Color(r=red, g=green, b=blue, a=1.0))
+        text.text = f"{source.ident} {source.state} {source.p_here:.2f}"
+    return update
+
+
+def log(t_ns: int, level: str, text: str) -> Log:
+    """A note as Foxglove's log line."""
+    return Log(timestamp=stamp(t_ns), level=_LEVELS.get(level, Log.INFO), message=text, name="fieldkit")
+
+
+def _ellipse(cov_m2: FloatArray) -> tuple[float, float, float]:
+    """Two-sigma diameters (m) and the first axis' angle (deg, from east); at least 5 cm across."""
+    if not np.all(np.isfinite(cov_m2)) or np.shape(cov_m2) != (2, 2):
+        return 0.1, 0.1, 0.0
+    variances, axes = np.linalg.eigh(cov_m2)
+    major, minor = (max(0.05, 4.0 * math.sqrt(max(0.0, v))) for v in (variances[1], variances[0]))
+    return major, minor, math.degrees(math.atan2(axes[1, 1], axes[0, 1]))
+
+
+def _place(pose: Any, east_m: float, north_m: float, up_m: float, heading_deg: float) -> None:
+    pose.position.x, pose.position.y, pose.position.z = east_m, north_m, up_m
+    half = math.radians(90.0 - heading_deg) / 2.0
+    pose.orientation.z, pose.orientation.w = math.sin(half), math.cos(half)
