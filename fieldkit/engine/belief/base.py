@@ -1,0 +1,40 @@
+"""What every belief offers to the kernel, the planners and the viewers."""
+
+from typing import Protocol
+
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
+
+
+class Belief(Protocol):
+    """A belief over the field. Deterministic: the same calls in the same order give the same bits."""
+
+    def __init__(self, settings: EngineSettings) -> None: ...
+
+    def detect(self, detection: Detection) -> None:
+        """Take in one transmission heard by at least one robot."""
+        ...
+
+    def listen(self, listening: Listening) -> None:
+        """Take in a stretch of time in which robots listened; what they heard comes as detections."""
+        ...
+
+    def presence(self) -> FloatArray:
+        """(n_north, n_east) probability that the cell holds a source: SPOG's P(C_i), or its like."""
+        ...
+
+    def activity(self) -> FloatArray:
+        """(n_north, n_east), sums to 1: where the next transmission is likely to come from, P(C_i^1)."""
+        ...
+
+    def sources(self) -> list[SourceEstimate]:
+        """Candidates and found sources, by identity."""
+        ...
+
+    def probability_left(self) -> float:
+        """Probability that at least one source of the reference rate is still not found."""
+        ...
+
+    def digest(self) -> bytes:
+        """32 bytes that differ when the belief differs in any bit."""
+        ...

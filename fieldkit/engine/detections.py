@@ -1,0 +1,166 @@
+"""Readings and poses in, one `Detection` per transmission out, with the robots that stayed silent.
+
+Receptions within one window of the first belong to one transmission, at most one per robot. A group is kept
+open for late arrivals before it is emitted. A robot counts as listening when its receiver is up and its pose
+is known around that moment; otherwise it is absent from the detection, not silent.
+"""
+
+from bisect import bisect_left
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fieldkit.messages import Detection, Listening, Pose, ReceiverState, RssReading
+
+_KEEP_NS = 30_000_000_000
+
+
+@dataclass
+class PoseTrack:
+    """Recent poses of one robot, in order of time."""
+
+    max_gap_ns: int
+    t_ns: list[int] = field(default_factory=list)
+    poses: list[Pose] = field(default_factory=list)
+
+    def add(self, pose: Pose) -> None:
+        """Keep a pose; one that is not newer than the last is dropped (a repeated or reordered report)."""
+        if self.t_ns and pose.t_ns <= self.t_ns[-1]:
+            return
+        self.t_ns.append(pose.t_ns)
+        self.poses.append(pose)
+        if len(self.t_ns) > 64 and self.t_ns[32] < pose.t_ns - _KEEP_NS:
+            del self.t_ns[:32], self.poses[:32]
+
+    def at(self, t_ns: int) -> tuple[float, float, float] | None:
+        """East, north, heading at `t_ns`; None where no pose is near enough to say.
+
+        Between poses further apart than the gap, or further than half of it beyond the last one, nothing is known.
+        """
+        if not self.t_ns:
+            return None
+        index = bisect_left(self.t_ns, t_ns)
+        if index < len(self.t_ns) and self.t_ns[index] == t_ns:
+            pose = self.poses[index]
+            return pose.east_m, pose.north_m, pose.heading_deg
+        if index == len(self.t_ns) or index == 0:
+            pose = self.poses[-1 if index else 0]
+            near = abs(t_ns - pose.t_ns) <= self.max_gap_ns // 2
+            return (pose.east_m, pose.north_m, pose.heading_deg) if near else None
+        before, after = self.poses[index - 1], self.poses[index]
+        if after.t_ns - before.t_ns > self.max_gap_ns:
+            return None
+        share = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
+        turn = (after.heading_deg - before.heading_deg + 180.0) % 360.0 - 180.0
+        return (
+            before.east_m + share * (after.east_m - before.east_m),
+            before.north_m + share * (after.north_m - before.north_m),
+            (before.heading_deg + share * turn) % 360.0,
+        )
+
+
+@dataclass
+class _Group:
+    t_ns: int
+    readings: dict[str, RssReading]
+
+    @property
+    def frame_id(self) -> str | None:
+        return next((r.frame_id for r in self.readings.values() if r.frame_id is not None), None)
+
+
+class Associator:
+    """Turns the stream of readings, receiver states and poses into detections and stretches of listening."""
+
+    def __init__(
+        self,
+        robots: tuple[str, ...],
+        *,
+        window_s: float = 0.1,
+        lateness_s: float = 1.0,
+        max_pose_gap_s: float = 1.0,
+        silence_step_s: float = 1.0,
+    ) -> None:
+        self.robots = robots
+        self.late_readings = 0
+        """Readings that came after their time had been closed; they are dropped and counted."""
+        self._window_ns = round(window_s * 1e9)
+        self._lateness_ns = round(lateness_s * 1e9)
+        self._silence_ns = round(silence_step_s * 1e9)
+        self._tracks = {robot: PoseTrack(round(max_pose_gap_s * 1e9)) for robot in robots}
+        self._up: dict[str, list[tuple[int, bool]]] = {robot: [(-(2**62), True)] for robot in robots}
+        self._open: list[_Group] = []
+        self._silent_until_ns: int | None = None
+        self._closed_ns = -(2**62)
+
+    def pose(self, pose: Pose) -> None:
+        """Take in a pose of one of our robots."""
+        if pose.robot in self._tracks:
+            self._tracks[pose.robot].add(pose)
+
+    def receiver(self, state: ReceiverState) -> None:
+        """Take in that a receiver went down or came back."""
+        if state.robot in self._up:
+            self._up[state.robot].append((state.t_ns, state.up))
+
+    def reading(self, reading: RssReading) -> None:
+        """Take in a reading; absurd ones (not finite, positive, below -150 dBm) are ignored."""
+        if reading.robot not in self._tracks or not -150.0 <= reading.rss_dbm <= 0.0:
+            return
+        if reading.t_ns < self._closed_ns:
+            self.late_readings += 1
+            return
+        for group in self._open:
+            same_frame = reading.frame_id is None or group.frame_id in (None, reading.frame_id)
+            if abs(reading.t_ns - group.t_ns) <= self._window_ns and reading.robot not in group.readings and same_frame:
+                group.readings[reading.robot] = reading
+                return
+        self._open.append(_Group(reading.t_ns, {reading.robot: reading}))
+
+    def advance(self, now_ns: int) -> tuple[list[Detection], list[Listening]]:
+        """What can be said for sure at `now_ns`: closed detections in order of time, and listening up to then."""
+        horizon_ns = now_ns - self._lateness_ns
+        ready = sorted((g for g in self._open if g.t_ns + self._window_ns <= horizon_ns), key=lambda g: g.t_ns)
+        self._open = [g for g in self._open if g.t_ns + self._window_ns > horizon_ns]
+        self._closed_ns = max(self._closed_ns, horizon_ns - self._window_ns)
+        detections = [detection for group in ready if (detection := self._detection(group)) is not None]
+        return detections, self._listening(horizon_ns)
+
+    def _is_up(self, robot: str, t_ns: int) -> bool:
+        up = True
+        for since_ns, state in self._up[robot]:
+            if since_ns > t_ns:
+                break
+            up = state
+        return up
+
+    def _where(self, t_ns: int) -> tuple[tuple[str, ...], list[tuple[float, float, float]]]:
+        names, places = [], []
+        for robot in self.robots:
+            if self._is_up(robot, t_ns) and (place := self._tracks[robot].at(t_ns)) is not None:
+                names.append(robot)
+                places.append(place)
+        return tuple(names), places
+
+    def _detection(self, group: _Group) -> Detection | None:
+        names, places = self._where(group.t_ns)
+        rss = np.array([group.readings[n].rss_dbm if n in group.readings else np.nan for n in names])
+        if np.isnan(rss).all():  # heard only by robots whose place is unknown
+            return None
+        place = np.array(places)
+        saturated = np.array([n in group.readings and group.readings[n].saturated for n in names])
+        return Detection(group.t_ns, names, place[:, :2].copy(), place[:, 2].copy(), rss, saturated)
+
+    def _listening(self, horizon_ns: int) -> list[Listening]:
+        if self._silent_until_ns is None:
+            if any(track.t_ns for track in self._tracks.values()):
+                self._silent_until_ns = horizon_ns
+            return []
+        stretches = []
+        while self._silent_until_ns + self._silence_ns <= horizon_ns:
+            t0 = self._silent_until_ns
+            self._silent_until_ns = t1 = t0 + self._silence_ns
+            names, places = self._where((t0 + t1) // 2)
+            if names:
+                stretches.append(Listening(t0, t1, names, np.array(places)[:, :2].copy()))
+        return stretches

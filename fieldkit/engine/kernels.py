@@ -1,0 +1,254 @@
+"""The few compiled hot loops. Each has a plain numpy twin in the tests; callers never see numba.
+
+Shapes: points (n, 2) and robots (m, 2) are east, north in metres; `rss` (m,) is nan where a robot listened and
+heard nothing; `levels` (h,) are received powers at 1 m in dBm.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from fieldkit.messages import FloatArray
+
+_SQRT2 = math.sqrt(2.0)
+
+
+@njit(cache=True, nogil=True)
+def _upper(x: float) -> float:
+    """1 - Phi(x)."""
+    return 0.5 * math.erfc(x / _SQRT2)
+
+
+@njit(cache=True, nogil=True)
+def levels_loglik(
+    points: FloatArray,
+    robots: FloatArray,
+    rss: FloatArray,
+    saturated: FloatArray,
+    levels: FloatArray,
+    ten_beta: float,
+    sigma: float,
+    threshold: float,
+    min_range: float,
+    place_sigma: float,
+    loss: float,
+    outlier: float,
+    out: FloatArray,
+) -> None:
+    """out (h, n): log p(readings | source at the point with that level). See `sensing.levels`."""
+    n = points.shape[0]
+    m = robots.shape[0]
+    n_levels = levels.shape[0]
+    slope = ten_beta / math.log(10.0) * place_sigma
+    for i in range(n):
+        for h in range(n_levels):
+            out[h, i] = 0.0
+        for q in range(m):
+            de = points[i, 0] - robots[q, 0]
+            dn = points[i, 1] - robots[q, 1]
+            d2 = max(de * de + dn * dn, min_range * min_range)
+            attenuation = 0.5 * ten_beta * math.log10(d2)
+            spread = math.sqrt(sigma * sigma + slope * slope / (d2 + place_sigma * place_sigma))
+            wide = math.sqrt(spread * spread + 1.0 / 12.0)
+            norm = 1.0 / (wide * math.sqrt(2.0 * math.pi))
+            for h in range(n_levels):
+                mean = levels[h] - attenuation
+                if math.isnan(rss[q]):
+                    p = loss + (1.0 - loss) * _upper((mean - threshold - 0.5) / spread)
+                elif saturated[q] > 0.0:
+                    p = outlier / 80.0 + (1.0 - loss) * _upper((rss[q] - 0.5 - mean) / spread)
+                else:
+                    t = (rss[q] - mean) / wide
+                    p = outlier / 80.0 + (1.0 - loss) * norm * math.exp(-0.5 * t * t)
+                out[h, i] += math.log(max(p, 1e-300))
+
+
+@njit(cache=True, nogil=True)
+def add_exposure(
+    exposure: FloatArray,
+    cell: float,
+    robots: FloatArray,
+    hear: FloatArray,
+    step2: float,
+    reach: float,
+    duration: float,
+) -> None:
+    """Add `duration` times P(some robot hears a source in the cell) to exposure (levels, n_north, n_east).
+
+    `hear` (levels, k) is the probability of one robot hearing at squared distance k * step2.
+    """
+    n_levels, rows, columns = exposure.shape
+    m = robots.shape[0]
+    last = hear.shape[1] - 1
+    north_low = robots[:, 1].min() - reach
+    north_high = robots[:, 1].max() + reach
+    row0 = max(0, int(math.floor(north_low / cell)))
+    row1 = min(rows, int(math.floor(north_high / cell)) + 1)
+    for r in range(row0, row1):
+        north = (r + 0.5) * cell
+        for c in range(columns):
+            east = (c + 0.5) * cell
+            near = False
+            for q in range(m):
+                if abs(east - robots[q, 0]) < reach and abs(north - robots[q, 1]) < reach:
+                    near = True
+            if not near:
+                continue
+            for h in range(n_levels):
+                silent = 1.0
+                for q in range(m):
+                    de = east - robots[q, 0]
+                    dn = north - robots[q, 1]
+                    k = int((de * de + dn * dn) / step2)
+                    if k < last:
+                        silent *= 1.0 - hear[h, k]
+                exposure[h, r, c] += duration * (1.0 - silent)
+
+
+@njit(cache=True, nogil=True)
+def leave_one_out(loglik: FloatArray, logpost: FloatArray, weight: float) -> float:
+    """log of the predictive probability of one detection under a source that may already count it.
+
+    `loglik` and `logpost` are flat over (hypothesis, point); `logpost` includes `weight` times this detection.
+    Entries 30 nats under the best are skipped.
+    """
+    best = -1e300
+    for i in range(loglik.shape[0]):
+        rest = logpost[i] - weight * loglik[i]
+        if rest > best:
+            best = rest
+    total = 0.0
+    total_with = 0.0
+    for i in range(loglik.shape[0]):
+        rest = logpost[i] - weight * loglik[i] - best
+        if rest > -30.0:
+            p = math.exp(rest)
+            total += p
+            total_with += p * math.exp(loglik[i])
+    return math.log(max(total_with, 1e-300)) - math.log(total)
+
+
+@njit(cache=True, nogil=True)
+def rate_sweeps(
+    stacked: FloatArray,
+    start: FloatArray,
+    box: FloatArray,
+    weight: FloatArray,
+    exposure: FloatArray,
+    prior_s: float,
+    rate: FloatArray,
+    sweeps: int,
+) -> None:
+    """EM (list-mode MLEM) sweeps of the rate map (n_north, n_east), in place.
+
+    Detection k's likelihood over its box (row0, row1, column0, column1) stands in `stacked` from `start[k]`, row by row.
+    """
+    rows, columns = rate.shape
+    share = np.zeros((rows, columns))
+    for _ in range(sweeps):
+        share[:] = 0.0
+        for k in range(start.shape[0]):
+            if weight[k] <= 0.0:
+                continue
+            at = start[k]
+            total = 1e-300
+            for r in range(box[k, 0], box[k, 1]):
+                for c in range(box[k, 2], box[k, 3]):
+                    total += rate[r, c] * stacked[at]
+                    at += 1
+            at = start[k]
+            for r in range(box[k, 0], box[k, 1]):
+                for c in range(box[k, 2], box[k, 3]):
+                    share[r, c] += weight[k] * rate[r, c] * stacked[at] / total
+                    at += 1
+        for r in range(rows):
+            for c in range(columns):
+                rate[r, c] = share[r, c] / (exposure[r, c] + prior_s)
+
+
+@njit(cache=True, nogil=True)
+def path_ground_gain(
+    track: FloatArray,
+    dt: float,
+    value: FloatArray,
+    planned: FloatArray,
+    cell: float,
+    hear: FloatArray,
+    step2: float,
+    reach: float,
+    rate: float,
+    scratch: FloatArray,
+) -> float:
+    """Value of the ground a group of robots would cover on its path.
+
+    `track` (steps, m, 2); `value` (n_north, n_east) what finding a source there is worth times its probability;
+    `planned` exposure (s) other groups will add; `hear` (k,) averaged over levels. `scratch` holds the path's own
+    exposure afterwards.
+    """
+    rows, columns = value.shape
+    m = track.shape[1]
+    last = hear.shape[0] - 1
+    scratch[:] = 0.0
+    for t in range(track.shape[0]):
+        row0 = max(0, int(math.floor((track[t, :, 1].min() - reach) / cell)))
+        row1 = min(rows, int(math.floor((track[t, :, 1].max() + reach) / cell)) + 1)
+        column0 = max(0, int(math.floor((track[t, :, 0].min() - reach) / cell)))
+        column1 = min(columns, int(math.floor((track[t, :, 0].max() + reach) / cell)) + 1)
+        for r in range(row0, row1):
+            north = (r + 0.5) * cell
+            for c in range(column0, column1):
+                east = (c + 0.5) * cell
+                silent = 1.0
+                for q in range(m):
+                    de = east - track[t, q, 0]
+                    dn = north - track[t, q, 1]
+                    k = int((de * de + dn * dn) / step2)
+                    if k < last:
+                        silent *= 1.0 - hear[k]
+                scratch[r, c] += dt * (1.0 - silent)
+    gain = 0.0
+    for r in range(rows):
+        for c in range(columns):
+            if scratch[r, c] > 0.0:
+                gain += value[r, c] * math.exp(-rate * planned[r, c]) * (1.0 - math.exp(-rate * scratch[r, c]))
+    return gain
+
+
+@njit(cache=True, nogil=True)
+def path_information(
+    track: FloatArray,
+    dt: float,
+    points: FloatArray,
+    point_level: FloatArray,
+    hear: FloatArray,
+    step2: float,
+    min_range: float,
+    out: FloatArray,
+) -> None:
+    """What a path would learn of one source, averaged over samples of where and how strong it may be.
+
+    out (4,): expected receptions per unit rate (s), and the Fisher information of position per unit rate (s),
+    without its factor (10 beta / (sigma ln 10))^2: ee, en, nn. `points` (k, 2), `point_level` (k,) index into hear.
+    """
+    last = hear.shape[1] - 1
+    out[:] = 0.0
+    for i in range(points.shape[0]):
+        h = int(point_level[i])
+        for t in range(track.shape[0]):
+            silent = 1.0
+            for q in range(track.shape[1]):
+                de = points[i, 0] - track[t, q, 0]
+                dn = points[i, 1] - track[t, q, 1]
+                d2 = de * de + dn * dn
+                k = int(d2 / step2)
+                if k < last:
+                    p = hear[h, k]
+                    silent *= 1.0 - p
+                    d2 = max(d2, min_range * min_range)
+                    w = dt * p / (d2 * d2)
+                    out[1] += w * de * de
+                    out[2] += w * de * dn
+                    out[3] += w * dn * dn
+            out[0] += dt * (1.0 - silent)
+    out /= points.shape[0]

@@ -1,0 +1,217 @@
+"""The default planner: each team takes, of many paths, the one from which the belief will learn most.
+
+A path is worth the sources it would newly hear on unsearched ground, plus the progress it would make on
+candidates not yet resolved: receptions still missing, and the shrinking of their posterior by Fisher information,
+both as expected over samples of where and how strong each candidate may be. Teams are planned one after another
+on what the others leave; no path comes nearer to another team than the separation.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldkit.antenna.model import MIN_RANGE_M
+from fieldkit.engine import kernels
+from fieldkit.engine.belief.base import Belief
+from fieldkit.engine.belief.intensity import IntensityBelief, Unresolved
+from fieldkit.engine.planning.base import Situation, abreast, track, waypoints
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.errors import ConfigError
+from fieldkit.messages import FloatArray, Plan
+
+HORIZON_PERIODS = 2.0
+GROUND_PATHS = 28
+PATHS_PER_CANDIDATE = 12
+MAX_CANDIDATES = 6
+SAMPLES = 16
+STEP_S = 1.5
+NAT_VALUE = 0.12
+RECEPTION_VALUE = 0.2
+GROUND_VALUE = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Option:
+    purpose: str
+    places_m: FloatArray
+    """(legs, m, 2)"""
+    track_m: FloatArray
+    """(steps, m, 2)"""
+
+
+class InfoGainPlanner:
+    """See the module."""
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self.settings = settings
+        self.grid = settings.grid
+        self._rng = np.random.default_rng([settings.seed, 0x1F0])
+        self._last: dict[tuple[str, ...], list[tuple[float, float]]] = {}
+
+    def plan(self, situation: Situation, belief: Belief) -> Plan:
+        """Paths for all teams of the situation. Raises `ConfigError` for a belief without exposure."""
+        if not isinstance(belief, IntensityBelief):
+            raise ConfigError("planner 'infogain' needs belief 'intensity'; choose 'prwa' for other beliefs")
+        model = belief.model
+        horizon_s = HORIZON_PERIODS * self.settings.planning_period_s
+        value = GROUND_VALUE * belief.ground_value()
+        planned_s = np.zeros(self.grid.shape)
+        scratch = np.empty(self.grid.shape)
+        unresolved = belief.unresolved(SAMPLES, self._rng)
+        information = {u.ident: np.zeros(4) for u in unresolved}
+        taken: list[FloatArray] = []
+        paths: dict[str, tuple] = {}
+        purpose: dict[str, str] = {}
+        for team in situation.teams:
+            start = np.array([situation.position_m[robot] for robot in team])
+            best, best_score, best_info = None, -math.inf, {}
+            for option in self._options(team, start, belief, value, planned_s, unresolved, horizon_s):
+                if any(not self._clear(option.track_m, other) for other in taken):
+                    continue
+                score = kernels.path_ground_gain(
+                    option.track_m,
+                    STEP_S,
+                    value,
+                    planned_s,
+                    self.grid.cell_m,
+                    model.hear_known_mean,
+                    model.step2_m2,
+                    model.reach_m,
+                    self.settings.reference_rate_hz,
+                    scratch,
+                )
+                info: dict[int, FloatArray] = {}
+                for candidate in unresolved:
+                    gained = np.empty(4)
+                    kernels.path_information(
+                        option.track_m,
+                        STEP_S,
+                        candidate.points_m,
+                        candidate.level,
+                        model.hear,
+                        model.step2_m2,
+                        MIN_RANGE_M,
+                        gained,
+                    )
+                    if gained[0] > 1e-3:
+                        info[candidate.ident] = gained
+                        before = information[candidate.ident]
+                        score += self._progress(candidate, before + gained) - self._progress(candidate, before)
+                if score > best_score:
+                    best, best_score, best_info = option, score, info
+            if best is None:  # boxed in by the others: stay
+                for robot in team:
+                    paths[robot], purpose[robot] = (), "wait"
+                taken.append(np.repeat(start[None], max(1, int(horizon_s / STEP_S)), axis=0))
+                continue
+            kernels.path_ground_gain(
+                best.track_m, STEP_S, value, planned_s, self.grid.cell_m, model.hear_known_mean, model.step2_m2,
+                model.reach_m, self.settings.reference_rate_hz, scratch,
+            )  # fmt: skip
+            planned_s += scratch
+            for ident, gained in best_info.items():
+                information[ident] = information[ident] + gained
+            taken.append(best.track_m)
+            self._last[team] = [tuple(place.mean(axis=0)) for place in best.places_m]
+            for robot, path in zip(team, waypoints(best.places_m, start, self.settings.max_speed_m_s), strict=True):
+                paths[robot], purpose[robot] = path, best.purpose
+        return Plan(situation.t_ns, paths, purpose)
+
+    def _progress(self, candidate: Unresolved, gained: FloatArray) -> float:
+        """Worth of what is known of a candidate after a path: (4,) exposure and information per unit rate."""
+        rate = candidate.rate_hz
+        antenna = self.settings.antenna
+        scale = (10.0 * antenna.path_loss_exponent / (antenna.sigma_db * math.log(10.0))) ** 2 * rate
+        cov = candidate.cov_m2 + np.eye(2) * (0.1 * self.grid.cell_m) ** 2
+        precision = np.linalg.inv(cov)
+        precision = precision + scale * np.array([[gained[1], gained[2]], [gained[2], gained[3]]])
+        spread = 1.0 / np.linalg.eigvalsh(precision)
+        target = (0.45 * self.grid.cell_m) ** 2
+        nats = 0.5 * float(np.log(np.maximum(spread / target, 1.0)).sum())
+        missing = max(0.0, self.settings.min_receptions - candidate.receptions)
+        received = missing * (1.0 - math.exp(-rate * gained[0] / missing)) if missing > 0.0 else 0.0
+        worth = 0.3 if candidate.state == "doubtful" else 1.0
+        return worth * (RECEPTION_VALUE * received - NAT_VALUE * nats)
+
+    def _clear(self, one: FloatArray, other: FloatArray) -> bool:
+        """Whether two tracks keep the separation at every step after the first few, when they may yet part."""
+        steps = min(one.shape[0], other.shape[0])
+        gaps = one[:steps, :, None, :] - other[:steps, None, :, :]
+        distance = np.hypot(gaps[..., 0], gaps[..., 1]).min(axis=(1, 2))
+        floor = np.minimum(self.settings.min_separation_m, distance[0] - 1e-6)
+        return bool((distance >= floor).all())
+
+    # -- paths to choose from ----------------------------------------------------------------------------
+
+    def _options(
+        self,
+        team: tuple[str, ...],
+        start: FloatArray,
+        belief: IntensityBelief,
+        value: FloatArray,
+        planned_s: FloatArray,
+        unresolved: list[Unresolved],
+        horizon_s: float,
+    ) -> list[_Option]:
+        model = belief.model
+        ranges = self.settings.antenna.nominal_range_m(np.array(self.settings.power_levels_db))
+        typical_m = float(np.median(ranges))
+        centre = start.mean(axis=0)
+        length_m = self.settings.max_speed_m_s * horizon_s
+        spacings = [max(self.settings.min_separation_m, factor * typical_m) for factor in (0.6, 1.0)]
+        options: list[_Option] = []
+
+        def add(purpose: str, corners: list[FloatArray] | FloatArray, spacing_m: float) -> None:
+            places = abreast(np.asarray(corners, dtype=float), start, spacing_m, self.grid, self.settings.fence_margin_m)
+            route = track(places, start, self.settings.max_speed_m_s, STEP_S, horizon_s)
+            options.append(_Option(purpose, places, route))
+
+        left = (value * np.exp(-self.settings.reference_rate_hz * planned_s)).ravel()
+        left = left / left.sum() if left.sum() > 0 else np.full(left.size, 1.0 / left.size)
+        pick = self._picker(left**1.5)
+        for index in range(GROUND_PATHS):
+            corners, here, gone = [], centre, 0.0
+            while gone < length_m and len(corners) < 8:
+                target = pick()
+                if index % 2:  # a nearby stretch rather than across the field
+                    bearing = self._rng.uniform(0.0, 2.0 * math.pi)
+                    target = here + self._rng.uniform(1.0, 4.0) * typical_m * np.array(
+                        [math.sin(bearing), math.cos(bearing)]
+                    )
+                corners.append(target)
+                gone += float(np.hypot(*(target - here)))
+                here = target
+            add("search", corners, spacings[index % len(spacings)])
+        if self._last.get(team):
+            add("search", np.array(self._last[team]), spacings[0])
+        nearest = sorted(unresolved, key=lambda u: float(np.hypot(*(u.points_m.mean(axis=0) - centre))))
+        for candidate in nearest[:MAX_CANDIDATES]:
+            for index in range(PATHS_PER_CANDIDATE):
+                add(f"resolve {candidate.ident}", self._around(candidate, centre, typical_m, index), spacings[0])
+        del model
+        return options
+
+    def _picker(self, weight: FloatArray) -> Callable[[], FloatArray]:
+        cumulative = np.cumsum(weight / weight.sum())
+        centres = self.grid.centres_m
+
+        def pick() -> FloatArray:
+            index = min(int(np.searchsorted(cumulative, self._rng.random())), centres.shape[0] - 1)
+            return np.asarray(centres[index])
+
+        return pick
+
+    def _around(self, candidate: Unresolved, centre: FloatArray, typical_m: float, index: int) -> list[FloatArray]:
+        """Corners round one possible place of a candidate: the nearest first, then on round it."""
+        focus = candidate.points_m[int(self._rng.integers(candidate.points_m.shape[0]))]
+        if index % 3 == 0:
+            focus = candidate.points_m.mean(axis=0)
+        radius = typical_m * (0.15, 0.35, 0.6, 0.9)[index % 4]
+        away = centre - focus
+        bearing = math.atan2(away[0], away[1]) + self._rng.uniform(-0.5, 0.5)
+        turn = math.radians(120.0 if index % 2 else 75.0) * (1 if self._rng.random() < 0.5 else -1)
+        return [
+            focus + radius * np.array([math.sin(bearing + k * turn), math.cos(bearing + k * turn)]) for k in range(6)
+        ]

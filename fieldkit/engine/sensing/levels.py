@@ -1,0 +1,119 @@
+"""The exact likelihood of what a team heard, for sources at one of a known set of power levels.
+
+For each robot independently, with mean reading mu = w - 10 beta log10 d (PRWA eq 3, d clamped at `MIN_RANGE_M`):
+
+- heard z:            N(z; mu, sigma^2 + 1/12), the integer rounding as extra variance;
+- heard at the ceiling: 1 - Phi((z - 1/2 - mu) / sigma);
+- listened, silent:     Phi((threshold + 1/2 - mu) / sigma), a robot hears iff its integer reading exceeds zeta.
+
+Radios are not ideal: a small share of packets is lost at any strength, and a small share of readings is
+anything at all. Both keep one odd reading from vetoing the truth.
+
+Neither robots nor candidate places are points: a place known to s metres smears a reading at distance d by
+(10 beta / ln 10) s / sqrt(d^2 + s^2) dB, which is added to sigma; close by it is what matters most.
+
+Besides the known levels there are hypotheses beyond them, with a small prior: when they win, the calibration or
+the power set is wrong, and the belief says so instead of naming a position. The last hypothesis is a source whose
+level changes from packet to packet (PRWA assumption a.4).
+"""
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from fieldkit.antenna.model import MIN_RANGE_M, Antenna
+from fieldkit.engine import kernels
+from fieldkit.messages import Detection, FloatArray
+
+PACKET_LOSS = 0.02
+OUTLIERS = 0.01
+OUTSIDE_DB = (4.0, 8.0, 12.0)
+"""How far beyond the weakest and strongest known level the hypotheses of a wrong power set lie."""
+PRIOR_OUTSIDE = 0.04
+PRIOR_VARYING = 0.1
+
+
+class LevelsModel:
+    """Likelihoods and hearing probabilities under each power hypothesis.
+
+    Hypotheses (h): the known levels, levels outside them, and last the varying level.
+    """
+
+    def __init__(self, antenna: Antenna, power_levels_db: tuple[float, ...], place_sigma_m: float) -> None:
+        known = np.sort(np.asarray(power_levels_db, dtype=float))
+        outside = np.concatenate([known[0] - np.array(OUTSIDE_DB), known[-1] + np.array(OUTSIDE_DB)])
+        self.antenna = antenna
+        self.place_sigma_m = place_sigma_m
+        self.n_known = known.size
+        self.power_db = np.concatenate([known, outside])
+        """(h - 1,) power of each fixed-level hypothesis."""
+        self.level_dbm = antenna.power_at_1m_dbm + self.power_db
+        varying = PRIOR_VARYING if known.size > 1 else 1e-6
+        self.log_prior = np.log(
+            np.concatenate(
+                [
+                    np.full(known.size, (1.0 - PRIOR_OUTSIDE - varying) / known.size),
+                    np.full(outside.size, PRIOR_OUTSIDE / outside.size),
+                    [varying],
+                ]
+            )
+        )
+        """(h,) log prior of each hypothesis."""
+        self.outside = np.zeros(self.log_prior.size, dtype=bool)
+        self.outside[known.size : known.size + outside.size] = True
+        self.ten_beta = 10.0 * antenna.path_loss_exponent
+        self.reach_m = self._reach_m(known[-1])
+        """Beyond this, not one packet in 500 of the strongest known level is heard."""
+        self.reach_outside_m = self._reach_m(self.power_db.max())
+        """The same for the strongest hypothesis."""
+        self.step2_m2 = self.reach_m**2 / 1024
+        squared = (np.arange(int(self.reach_outside_m**2 / self.step2_m2) + 2) + 0.5) * self.step2_m2
+        self.hear = np.exp(self.log_hear(np.sqrt(squared), self.level_dbm[:, None]))
+        """(h - 1, steps) P(one robot hears) at squared distances (k + 1/2) * step2_m2."""
+        self.hear_known_mean = np.ascontiguousarray(self.hear[: known.size, :1026].mean(axis=0))
+        """(steps,) the same averaged over the known levels, up to `reach_m`."""
+
+    def log_hear(self, range_m: FloatArray, level_dbm: FloatArray) -> FloatArray:
+        """log P(a robot hears a packet) at `range_m` from a source of power `level_dbm` at 1 m."""
+        mean = level_dbm - self.ten_beta * np.log10(np.maximum(range_m, MIN_RANGE_M))
+        margin = (mean - self.antenna.threshold_dbm - 0.5) / self.antenna.sigma_db
+        return np.log1p(-PACKET_LOSS) + log_ndtr(margin)
+
+    def _reach_m(self, strongest_db: float) -> float:
+        margin_db = (
+            self.antenna.power_at_1m_dbm + strongest_db - self.antenna.threshold_dbm - 0.5 + 2.9 * self.antenna.sigma_db
+        )
+        return float(10.0 ** (margin_db / self.ten_beta))
+
+    def log_likelihood(self, detection: Detection, points_m: FloatArray) -> FloatArray:
+        """(h, n): log p(what the team heard | a source at points_m (n, 2) sent it), under each hypothesis."""
+        fixed = np.empty((self.level_dbm.size, points_m.shape[0]))
+        kernels.levels_loglik(
+            np.ascontiguousarray(points_m),
+            detection.position_m,
+            detection.rss_dbm,
+            detection.saturated.astype(float),
+            self.level_dbm,
+            self.ten_beta,
+            self.antenna.sigma_db,
+            self.antenna.threshold_dbm,
+            MIN_RANGE_M,
+            self.place_sigma_m,
+            PACKET_LOSS,
+            OUTLIERS,
+            fixed,
+        )
+        varying = logsumexp(fixed[: self.n_known], axis=0) - np.log(self.n_known)
+        return np.concatenate([fixed, varying[None, :]])
+
+    def spread_db(self, range_m: FloatArray) -> FloatArray:
+        """Standard deviation of a reading at `range_m`: the antenna's sigma, the place's smear, the rounding."""
+        smear = self.ten_beta / np.log(10.0) * self.place_sigma_m
+        return np.sqrt(
+            self.antenna.sigma_db**2
+            + smear**2 / (np.maximum(range_m, MIN_RANGE_M) ** 2 + self.place_sigma_m**2)
+            + 1.0 / 12.0
+        )
+
+    def marginal(self, log_likelihood: FloatArray) -> FloatArray:
+        """(n,): the hypotheses of `log_likelihood` (h, n) averaged under their prior."""
+        return np.asarray(logsumexp(log_likelihood + self.log_prior[:, None], axis=0))

@@ -1,0 +1,54 @@
+"""What the engine is told before a mission; checked once here, trusted inside."""
+
+from dataclasses import dataclass
+
+from fieldkit.antenna.model import Antenna
+from fieldkit.engine.grid import Grid
+from fieldkit.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class EngineSettings:
+    """Everything a belief and a planner may need. Robots of one team move together, usually as pairs."""
+
+    grid: Grid
+    antenna: Antenna
+    teams: tuple[tuple[str, ...], ...]
+    """Robots that move abreast: pairs, or single robots."""
+    power_levels_db: tuple[float, ...] = (0.0,)
+    """Powers a source may send at, relative to the calibrated transmitter."""
+    found_probability: float = 0.9
+    """p_t: a source is found when it is within one cell of the estimate with at least this probability."""
+    min_receptions: float = 3.0
+    reference_rate_hz: float = 0.05
+    """Transmission rate of a typical source; a source that sends more rarely takes longer to be noticed."""
+    expected_sources: float = 4.0
+    """Prior mean of the number of sources in the whole field."""
+    planning_period_s: float = 30.0
+    max_speed_m_s: float = 0.4
+    min_separation_m: float = 0.6
+    """No two robots are planned closer than this."""
+    fence_margin_m: float = 0.2
+    """Way-points keep this far inside the field's border."""
+    pose_sigma_m: float = 0.05
+    """Standard deviation of each coordinate of the robots' positions."""
+    seed: int = 0
+    prior_rule: str = "em"
+    """SPOG only: literal, uniform, dirichlet or em (notes on PRWA eq 2)."""
+    sensing: str = "levels"
+    """levels (exact, power set known) or pairwise (PRWA Theorem 1); for SPOG."""
+
+    def __post_init__(self) -> None:
+        if not self.power_levels_db:
+            raise ConfigError("power_levels_db: expected at least one level, got none")
+        for name in ("found_probability",):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise ConfigError(f"{name}: expected a number between 0 and 1, got {getattr(self, name)}")
+        for name in ("reference_rate_hz", "expected_sources", "planning_period_s", "max_speed_m_s"):
+            if not getattr(self, name) > 0.0:
+                raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)}")
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """All robots, team by team."""
+        return tuple(robot for team in self.teams for robot in team)

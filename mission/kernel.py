@@ -1,0 +1,317 @@
+"""The whole mission as one pure function of its inbox: association, belief, planner, phase.
+
+`step(event)` decides; somebody else acts. It reads no clock, no file and no random state but its own seeded
+generators, so feeding a recorded inbox gives the same belief and the same commands, bit for bit.
+"""
+
+import hashlib
+import struct
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fieldkit import plugins
+from fieldkit.engine.belief.base import Belief
+from fieldkit.engine.detections import Associator
+from fieldkit.engine.planning.base import Planner, Situation
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import (
+    Command,
+    Detection,
+    EndMission,
+    Event,
+    GoTo,
+    Operator,
+    Plan,
+    Pose,
+    ReceiverState,
+    RssReading,
+    SourceEstimate,
+    Tick,
+    VehicleState,
+    Waypoint,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class KernelSettings:
+    """What the kernel needs beyond the engine's settings."""
+
+    engine: EngineSettings
+    belief: str = "intensity"
+    planner: str = "infogain"
+    association_window_s: float = 0.1
+    association_lateness_s: float = 1.0
+    max_pose_gap_s: float = 1.0
+    arrive_m: float = 0.15
+    max_duration_s: float = 3600.0
+    sources_expected: int | None = None
+    """End when this many are found; None where nobody knows."""
+    stop_probability_left: float | None = None
+    """End when the probability that a source is left falls below this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one event led to."""
+
+    commands: tuple[Command, ...] = ()
+    detections: tuple[Detection, ...] = ()
+    plan: Plan | None = None
+    notes: tuple[str, ...] = ()
+
+
+NOTHING = Outcome()
+
+
+@dataclass
+class _Robot:
+    pose: Pose | None = None
+    vehicle: VehicleState | None = None
+    held: bool = False
+    """Held by the operator until resumed."""
+
+
+@dataclass
+class _Errand:
+    """A team on its way along a plan."""
+
+    paths: dict[str, tuple[Waypoint, ...]]
+    leg: int = 0
+    leg_started_ns: int = 0
+    leg_limit_s: float = 0.0
+    sent: bool = False
+
+
+@dataclass
+class Kernel:
+    """See the module."""
+
+    settings: KernelSettings
+    started_ns: int | None = None
+    ended: bool = False
+    found_at_s: dict[int, float] = field(default_factory=dict)
+    """Source identity to mission time of its (last) find."""
+
+    def __post_init__(self) -> None:
+        engine = self.settings.engine
+        self.belief: Belief = plugins.load("fieldkit.beliefs", self.settings.belief)(engine)
+        self.planner: Planner = plugins.load("fieldkit.planners", self.settings.planner)(engine)
+        self.associator = Associator(
+            engine.robots,
+            window_s=self.settings.association_window_s,
+            lateness_s=self.settings.association_lateness_s,
+            max_pose_gap_s=self.settings.max_pose_gap_s,
+        )
+        self.robots = {robot: _Robot() for robot in engine.robots}
+        self.detections = 0
+        self._errands: dict[tuple[str, ...], _Errand] = {}
+        self._next_plan_ns: int | None = None
+        self._commands_digest = hashlib.sha256()
+        self._sources: list[SourceEstimate] | None = None
+
+    # -- the one entry ---------------------------------------------------------------------------------------
+
+    def step(self, event: Event) -> Outcome:
+        """Take in one event and say what to do. Unknown robots are ignored."""
+        match event:
+            case RssReading():
+                self.associator.reading(event)
+                outcome = NOTHING
+            case Pose():
+                self.associator.pose(event)
+                if event.robot in self.robots:
+                    self.robots[event.robot].pose = event
+                outcome = NOTHING
+            case ReceiverState():
+                self.associator.receiver(event)
+                outcome = NOTHING
+            case VehicleState():
+                if event.robot in self.robots:
+                    self.robots[event.robot].vehicle = event
+                outcome = NOTHING
+            case Operator():
+                outcome = self._operator(event)
+            case Tick():
+                outcome = self._tick(event.t_ns)
+        for command in outcome.commands:
+            self._commands_digest.update(repr(command).encode())
+        return outcome
+
+    def digest(self) -> str:
+        """Hex digest of the belief."""
+        return self.belief.digest().hex()
+
+    def commands_digest(self) -> str:
+        """Hex digest of all commands given so far."""
+        return self._commands_digest.hexdigest()
+
+    def sources(self) -> list[SourceEstimate]:
+        """The belief's present estimates."""
+        if self._sources is None:
+            self._sources = self.belief.sources()
+        return self._sources
+
+    def elapsed_s(self, t_ns: int) -> float:
+        """Mission time since the first tick."""
+        return 0.0 if self.started_ns is None else (t_ns - self.started_ns) * 1e-9
+
+    # -- decisions ---------------------------------------------------------------------------------------
+
+    def _operator(self, event: Operator) -> Outcome:
+        targets = self.robots if event.robot is None else {event.robot: self.robots.get(event.robot)}
+        for robot in targets.values():
+            if robot is not None and event.action in ("hold", "return"):
+                robot.held = True
+            elif robot is not None and event.action == "resume":
+                robot.held = False
+        self._errands = {team: e for team, e in self._errands.items() if not any(r in targets for r in team)}
+        if event.action == "resume":
+            self._next_plan_ns = None
+        if event.action == "end":
+            return self._end(event.t_ns, event.reason or "the operator ended the mission")
+        return Outcome(notes=(f"operator: {event.action} {event.robot or 'all'}",))
+
+    def _tick(self, now_ns: int) -> Outcome:
+        if self.ended:
+            return NOTHING
+        if self.started_ns is None:
+            self.started_ns = now_ns
+        notes: list[str] = []
+        detections, stretches = self.associator.advance(now_ns)
+        for stretch in stretches:
+            self.belief.listen(stretch)
+        for detection in detections:
+            self.belief.detect(detection)
+        if detections:
+            self.detections += len(detections)
+            self._sources = None
+        found_more = bool(detections) and self._note_finds(now_ns, notes)
+        if reason := self._finished(now_ns):
+            ended = self._end(now_ns, reason)
+            return Outcome(ended.commands, tuple(detections), None, (*notes, *ended.notes))
+        plan = None
+        commands: list[Command] = []
+        due = self._next_plan_ns is None or now_ns >= self._next_plan_ns or found_more
+        idle = [team for team in self._teams() if team not in self._errands]
+        if due or idle:
+            plan = self._plan(now_ns, self._teams() if due else tuple(idle))
+            if due:
+                self._next_plan_ns = now_ns + round(self.settings.engine.planning_period_s * 1e9)
+        commands += self._follow(now_ns)
+        return Outcome(tuple(commands), tuple(detections), plan, tuple(notes))
+
+    def _note_finds(self, now_ns: int, notes: list[str]) -> bool:
+        """Keep the times of finds; whether one was made or withdrawn."""
+        changed = False
+        found = {source.ident: source for source in self.sources() if source.state == "found"}
+        for ident, source in found.items():
+            if ident not in self.found_at_s:
+                self.found_at_s[ident] = self.elapsed_s(now_ns)
+                notes.append(
+                    f"found source {ident} at {source.east_m:.2f} m east, {source.north_m:.2f} m north "
+                    f"(P {source.p_here:.2f}, {source.receptions:.1f} receptions)"
+                )
+                changed = True
+        for ident in [i for i in self.found_at_s if i not in found]:
+            del self.found_at_s[ident]
+            why = next((s.note for s in self.sources() if s.ident == ident), "") or "merged with another"
+            notes.append(f"source {ident} is no longer found: {why}")
+            changed = True
+        return changed
+
+    def _finished(self, now_ns: int) -> str:
+        if self.elapsed_s(now_ns) >= self.settings.max_duration_s:
+            return f"time is up ({self.settings.max_duration_s:.0f} s)"
+        wanted = self.settings.sources_expected
+        if wanted is not None and len(self.found_at_s) >= wanted:
+            return f"all {wanted} expected sources are found"
+        limit = self.settings.stop_probability_left
+        if limit is not None and (left := self.belief.probability_left()) < limit:
+            return f"the probability that a source is left is {left:.3f}"
+        return ""
+
+    def _end(self, now_ns: int, reason: str) -> Outcome:
+        self.ended = True
+        self._errands.clear()
+        return Outcome(commands=(EndMission(now_ns, reason),), notes=(f"end: {reason}",))
+
+    def _steerable(self, name: str) -> bool:
+        robot = self.robots[name]
+        if robot.pose is None or robot.held:
+            return False
+        vehicle = robot.vehicle
+        return vehicle is None or (vehicle.link_up and vehicle.mode == "guided")
+
+    def _teams(self) -> tuple[tuple[str, ...], ...]:
+        teams = (tuple(r for r in team if self._steerable(r)) for team in self.settings.engine.teams)
+        return tuple(team for team in teams if team)
+
+    def _plan(self, now_ns: int, teams: tuple[tuple[str, ...], ...]) -> Plan | None:
+        if not teams:
+            return None
+        self._errands = {team: e for team, e in self._errands.items() if team not in teams and team in self._teams()}
+        position = {
+            name: (robot.pose.east_m, robot.pose.north_m)
+            for name, robot in self.robots.items()
+            if robot.pose is not None
+        }
+        busy = {team: Plan(now_ns, {r: p[e.leg :] for r, p in e.paths.items()}) for team, e in self._errands.items()}
+        plan = self.planner.plan(Situation(now_ns, position, teams, busy), self.belief)
+        for team in teams:
+            paths = {robot: plan.paths.get(robot, ()) for robot in team}
+            self._errands[team] = _Errand(paths)
+        return plan
+
+    def _follow(self, now_ns: int) -> list[Command]:
+        """Send each team to its next way-points once all its robots have arrived, or it has taken too long."""
+        commands: list[Command] = []
+        for team, errand in list(self._errands.items()):
+            if any(not self._steerable(robot) for robot in team):
+                del self._errands[team]
+                continue
+            legs = max((len(path) for path in errand.paths.values()), default=0)
+            if errand.sent and errand.leg < legs and self._leg_done(errand, now_ns):
+                errand.leg += 1
+                errand.sent = False
+            if errand.leg >= legs:
+                if legs or (now_ns - errand.leg_started_ns) * 1e-9 > self.settings.engine.planning_period_s:
+                    del self._errands[team]
+                continue
+            if not errand.sent:
+                commands += self._send_leg(errand, now_ns)
+        return commands
+
+    def _send_leg(self, errand: _Errand, now_ns: int) -> list[Command]:
+        errand.sent, errand.leg_started_ns = True, now_ns
+        limit_s = 0.0
+        commands: list[Command] = []
+        for robot, path in errand.paths.items():
+            if errand.leg < len(path):
+                target = path[errand.leg]
+                commands.append(GoTo(now_ns, robot, target))
+                limit_s = max(limit_s, self._distance(robot, target) / max(target.speed_m_s, 1e-3))
+        errand.leg_limit_s = 1.3 * limit_s + 5.0
+        return commands
+
+    def _leg_done(self, errand: _Errand, now_ns: int) -> bool:
+        if (now_ns - errand.leg_started_ns) * 1e-9 > errand.leg_limit_s:
+            return True
+        return all(
+            errand.leg >= len(path) or self._distance(robot, path[errand.leg]) <= self.settings.arrive_m
+            for robot, path in errand.paths.items()
+        )
+
+    def _distance(self, robot: str, target: Waypoint) -> float:
+        pose = self.robots[robot].pose
+        assert pose is not None  # only steerable robots have errands
+        return float(np.hypot(target.east_m - pose.east_m, target.north_m - pose.north_m))
+
+
+def state_digest(kernel: Kernel) -> str:
+    """Hex digest over belief, commands and counters: equal only for equal histories."""
+    whole = hashlib.sha256()
+    whole.update(kernel.belief.digest())
+    whole.update(kernel.commands_digest().encode())
+    whole.update(struct.pack("<q", kernel.detections))
+    return whole.hexdigest()
