@@ -1,12 +1,12 @@
-"""The wires emulated devices sit on: a pseudo-terminal, or TCP where there is none. For use inside an event loop."""
+"""The wires emulated devices sit on: a pseudo-terminal, or TCP where there is none; inside an event loop."""
 
 import asyncio
-import contextlib
 import errno
 import os
 import random
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Protocol
 
 from drivers.emulators.xbee import REPLY_S, Module, Rewrite
@@ -20,7 +20,7 @@ class Wire(Protocol):
     async def open(self, on_bytes: Callable[[bytes], None]) -> None: ...
 
     def write(self, data: bytes) -> bool:
-        """Send at once; False (and nothing sent) if the other side does not take it, as a UART would lose it."""
+        """Send at once; False if the other side does not take it: a UART would have lost it."""
         ...
 
     def close(self) -> None:
@@ -29,9 +29,9 @@ class Wire(Protocol):
 
 
 class PtyWire:
-    """A pseudo-terminal with a fixed name for the host: a symlink that points to whatever pty is there now."""
+    """A pseudo-terminal; `link` gives the host a name that stays when the pty is another one."""
 
-    def __init__(self, link: str | None = None) -> None:
+    def __init__(self, link: Path | None = None) -> None:
         self._link = link
         self.port = ""
 
@@ -44,10 +44,9 @@ class PtyWire:
         os.set_blocking(self._master, False)
         name = os.ttyname(self._slave)
         if self._link is not None:
-            with contextlib.suppress(FileNotFoundError):
-                os.unlink(self._link)
-            os.symlink(name, self._link)
-        self.port = self._link or name
+            self._link.unlink(missing_ok=True)
+            self._link.symlink_to(name)
+        self.port = str(self._link or name)
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._master, self._readable)
 
@@ -76,12 +75,11 @@ class PtyWire:
             os.close(self._slave)
             self._master = -1
             if self._link is not None:
-                with contextlib.suppress(FileNotFoundError):
-                    os.unlink(self._link)
+                self._link.unlink(missing_ok=True)
 
 
 class TcpWire:
-    """A TCP port with one client at a time, as serial servers do it; keeps its number over `close` and `open`."""
+    """A TCP port with one client at a time, as serial servers do it; keeps its number when opened again."""
 
     def __init__(self, host: str = "127.0.0.1", number: int = 0) -> None:
         self._host, self._number = host, number
@@ -124,7 +122,7 @@ class TcpWire:
             self._client = None
 
 
-def make_wire(link: str | None = None) -> Wire:
+def make_wire(link: Path | None = None) -> Wire:
     """A pty where the system has them, else TCP on the loopback."""
     return PtyWire(link) if hasattr(os, "openpty") else TcpWire()
 

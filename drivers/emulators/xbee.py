@@ -12,7 +12,7 @@ from drivers.xbee.frames import ESCAPE, START, Deframer, frame
 
 OK, ERROR, INVALID_COMMAND, INVALID_PARAMETER = 0, 1, 2, 3
 REPLY_S = (0.003, 0.005)
-"""How long a module takes to answer, wall time. Much faster replies break digi-xbee (it misses the wake-up)."""
+"""How long a module takes to answer, wall time. Faster replies break stock digi-xbee: it misses them."""
 
 
 @dataclass(frozen=True, slots=True)

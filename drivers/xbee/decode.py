@@ -41,7 +41,7 @@ def rss_dbm_of(rssi: int) -> float | None:
 
 
 def decode(frame: bytes) -> Heard | None:
-    """What a frame says was heard; None if it is no reception with RSSI, or malformed despite its checksum."""
+    """What a frame says was heard; None if it is no reception with RSSI, or is malformed."""
     known = _CLASSES.get(frame[3])
     if known is None:
         return None

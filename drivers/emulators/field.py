@@ -1,0 +1,379 @@
+"""A whole emulated field in a child process: hidden transmitters, and robots with their radios and links.
+
+A process of its own, so that the mission's computing never delays a frame on the wire, nor the other way
+round. It shares the mission's scaled clock: source schedules, motion and telemetry run in mission time, only
+the XBee's answers take wall time. World time 0 is the clock's `start_ns`.
+"""
+
+import asyncio
+import contextlib
+import multiprocessing
+import signal
+import tempfile
+import threading
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from drivers.emulators.rover import RoverAutopilot
+from drivers.emulators.wires import PluggedModule, make_wire
+from drivers.emulators.xbee import PROFILES, Module
+from drivers.links import host_and_port
+from fieldkit.antenna.model import Antenna
+from fieldkit.clock import ScaledClock
+from fieldkit.errors import DeviceError
+from fieldkit.geo import FieldFrame
+from fieldkit.world.channel import sample_rss_dbm
+from fieldkit.world.rover import Rover
+from fieldkit.world.sources import TransientSource, Transmissions
+
+STEP_S = 0.05
+"""World seconds between looks at sources and robots, unless that is less than `STEP_WALL_S`."""
+STEP_WALL_S = 0.002
+START_TIMEOUT_S = 60.0
+ASK_TIMEOUT_S = 10.0
+SOURCE_ADDRESS = 0x0013A20041000000
+ROBOT_ADDRESS = 0x0013A20040000000
+
+
+@dataclass(frozen=True, slots=True)
+class EmulatedRobot:
+    """A robot at the start: its MAVLink system id and where it stands."""
+
+    name: str
+    system_id: int
+    east_m: float
+    north_m: float
+    heading_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSpec:
+    """What to emulate. Picklable."""
+
+    clock: ScaledClock
+    frame: FieldFrame
+    antenna: Antenna
+    sources: tuple[TransientSource, ...]
+    robots: tuple[EmulatedRobot, ...]
+    vehicle_address: str
+    """host:port to which the rovers send."""
+    seed: int
+    pose_noise_m: float = 0.0
+    max_speed_m_s: float = 0.4
+    xbee_profile: str = "s2c"
+    gcs_failsafe_s: float | None = None
+    """Age of the ground station's heartbeat at which rovers hold; None: 6.5 s, or a wall second if longer."""
+
+
+class RunningField:
+    """The parent's end of an emulated field. Close it, or use it with `with`."""
+
+    def __init__(self, process: Any, connection: Connection, receiver_ports: dict[str, str]) -> None:
+        self.receiver_ports = receiver_ports
+        """Robot to the port its radio is on, as a receiver's option `port`."""
+        self._process = process
+        self._connection = connection
+        self._lock = threading.Lock()
+
+    def inject(self, fault: str, robot: str, value: Any = None) -> None:
+        """Make something go wrong, or right again: a method of `_Faults`, or "reboot"."""
+        self._ask("fault", fault, robot, value)
+
+    def unplug(self, robot: str) -> None:
+        """Pull the radio's plug."""
+        self.inject("unplug", robot)
+
+    def replug(self, robot: str) -> None:
+        """Plug the radio back in, under the same port name."""
+        self.inject("replug", robot)
+
+    def silence_vehicle(self, robot: str) -> None:
+        """Cut the vehicle's link in both directions."""
+        self.inject("silence_vehicle", robot)
+
+    def restore_vehicle(self, robot: str) -> None:
+        """Mend the vehicle's link."""
+        self.inject("restore_vehicle", robot)
+
+    def truth(self) -> dict[str, tuple[float, float, float]]:
+        """Robot to where it really is now: east, north (m), heading (deg)."""
+        return self._ask("truth")
+
+    def counts(self) -> dict[str, Any]:
+        """Transmissions per source; per robot: frames on its wire, lost ones, bytes from its host, mode."""
+        return self._ask("counts")
+
+    def _ask(self, *question: Any) -> Any:
+        with self._lock:
+            try:
+                self._connection.send(question)
+                if not self._connection.poll(ASK_TIMEOUT_S):
+                    raise DeviceError(f"the emulated field does not answer within {ASK_TIMEOUT_S:g} s")
+                answer = self._connection.recv()
+            except (EOFError, OSError) as error:
+                raise DeviceError(f"the emulated field has ended: {error}") from error
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def close(self) -> None:
+        """End the child process. Closing twice is harmless."""
+        with self._lock, contextlib.suppress(OSError):
+            self._connection.close()
+        self._process.join(5.0)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join(5.0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def start(spec: FieldSpec) -> RunningField:
+    """Emulate a field until closed; returns when every wire is there. Takes about a second."""
+    if spec.xbee_profile not in PROFILES:
+        raise ValueError(f"no XBee profile {spec.xbee_profile!r}; there are: {', '.join(PROFILES)}")
+    host_and_port(spec.vehicle_address)
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_child, args=(spec, theirs), name="emulated-field", daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        ports = ours.recv() if ours.poll(START_TIMEOUT_S) else DeviceError("the emulated field did not start")
+    except EOFError:
+        ports = DeviceError("the emulated field ended while starting; its own words are above")
+    if isinstance(ports, Exception):
+        process.kill()
+        process.join()
+        raise ports
+    return RunningField(process, ours, ports)
+
+
+def _child(spec: FieldSpec, connection: Connection) -> None:
+    # Ctrl-C reaches the whole process group; the field must outlive the mission's orderly end.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        asyncio.run(_Field(spec).run(connection))
+    except DeviceError as error:
+        connection.send(error)
+
+
+class _Telemetry(asyncio.DatagramProtocol):
+    """One rover's UDP socket."""
+
+    def __init__(self, robot: "_Robot", clock: ScaledClock) -> None:
+        self._robot = robot
+        self._clock = clock
+
+    def connection_made(self, transport: Any) -> None:
+        self._robot.transport = transport
+
+    def datagram_received(self, data: bytes, address: Any) -> None:
+        if not self._robot.silenced:
+            self._robot.send(self._robot.autopilot.receive(data, _world_s(self._clock)))
+
+    def error_received(self, error: Exception) -> None:
+        """Nobody listens at the vehicle address yet: a radio would not know either."""
+
+
+class _Robot:
+    """One robot's devices."""
+
+    def __init__(self, autopilot: RoverAutopilot, radio: PluggedModule) -> None:
+        self.autopilot = autopilot
+        self.radio = radio
+        self.transport: asyncio.DatagramTransport | None = None
+        self.silenced = False
+        self.heard = 0
+        self.plugged = True
+
+    def send(self, data: bytes) -> None:
+        if data and self.transport is not None and not self.silenced:
+            self.transport.sendto(data)
+
+
+class _Faults:
+    """What can be made to happen to a robot: one method per fault."""
+
+    async def unplug(self, robot: _Robot, _: Any) -> None:
+        robot.radio.unplug()
+        robot.plugged = False
+
+    async def replug(self, robot: _Robot, _: Any) -> None:
+        if not robot.plugged:
+            await robot.radio.plug()
+            robot.plugged = True
+
+    async def mute_radio(self, robot: _Robot, mute: Any) -> None:
+        robot.radio.module.dead = bool(mute)
+
+    async def damage_next_frame(self, robot: _Robot, prefix: Any) -> None:
+        robot.radio.rewrite = lambda data: bytes(prefix) + data
+
+    async def silence_vehicle(self, robot: _Robot, _: Any) -> None:
+        robot.silenced = True
+
+    async def restore_vehicle(self, robot: _Robot, _: Any) -> None:
+        robot.silenced = False
+
+    async def gps_lost(self, robot: _Robot, lost: Any) -> None:
+        robot.autopilot.lose_gps(bool(lost))
+
+    async def stuck(self, robot: _Robot, stuck: Any) -> None:
+        robot.autopilot.trouble.stuck = bool(stuck)
+
+    async def battery(self, robot: _Robot, percent: Any) -> None:
+        robot.autopilot.battery_pct = float(percent)
+
+    async def prearm(self, robot: _Robot, words: Any) -> None:
+        robot.autopilot.trouble.prearm = str(words or "")
+
+    async def operator(self, robot: _Robot, mode: Any) -> None:
+        robot.autopilot.operator_sets(int(mode))
+
+
+def _world_s(clock: ScaledClock) -> float:
+    return (clock.now_ns() - clock.start_ns) * 1e-9
+
+
+class _Field:
+    """The child's side: one event loop for all devices."""
+
+    def __init__(self, spec: FieldSpec) -> None:
+        self._spec = spec
+        seeds = np.random.SeedSequence(spec.seed).spawn(2 + len(spec.robots))
+        self._schedule = Transmissions(list(spec.sources), np.random.default_rng(seeds[0]))
+        self._channel_rng = np.random.default_rng(seeds[1])
+        self._sent = [0] * len(spec.sources)
+        self._robots: dict[str, _Robot] = {}
+        self._folder = tempfile.TemporaryDirectory(prefix="fieldkit-")
+        for robot, seed in zip(spec.robots, seeds[2:], strict=True):
+            self._robots[robot.name] = self._make(robot, np.random.default_rng(seed))
+
+    def _make(self, robot: EmulatedRobot, rng: np.random.Generator) -> _Robot:
+        spec = self._spec
+        body = Rover(robot.east_m, robot.north_m, robot.heading_deg, max_speed_m_s=spec.max_speed_m_s)
+        failsafe_s = max(6.5, spec.clock.rate) if spec.gcs_failsafe_s is None else spec.gcs_failsafe_s
+        autopilot = RoverAutopilot(
+            robot.system_id, body, spec.frame, rng, pose_noise_m=spec.pose_noise_m, gcs_failsafe_s=failsafe_s
+        )
+        known = PROFILES[spec.xbee_profile]
+        saturation = (
+            known.saturation_dbm if spec.antenna.saturation_dbm is None else spec.antenna.saturation_dbm
+        )
+        # Hearing is the channel's business (the antenna's threshold), not a second threshold's.
+        profile = replace(known, saturation_dbm=saturation, sensitivity_dbm=-254.0)
+        module = Module(profile, ROBOT_ADDRESS + robot.system_id)
+        return _Robot(
+            autopilot, PluggedModule(module, make_wire(Path(self._folder.name) / f"xbee-{robot.name}"))
+        )
+
+    async def run(self, connection: Connection) -> None:
+        loop = asyncio.get_running_loop()
+        ended = asyncio.Event()
+        try:
+            await self._open()
+            connection.send({name: robot.radio.wire.port for name, robot in self._robots.items()})
+            threading.Thread(target=self._listen, args=(connection, loop, ended), daemon=True).start()
+            living = asyncio.create_task(self._live())
+            waiting = asyncio.create_task(ended.wait())
+            await asyncio.wait({living, waiting}, return_when=asyncio.FIRST_COMPLETED)
+            living.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await living
+        finally:
+            for robot in self._robots.values():
+                if robot.plugged:
+                    robot.radio.unplug()
+            self._folder.cleanup()
+
+    async def _open(self) -> None:
+        address = host_and_port(self._spec.vehicle_address)
+        loop = asyncio.get_running_loop()
+        for robot in self._robots.values():
+            await robot.radio.plug()
+            await loop.create_datagram_endpoint(
+                lambda robot=robot: _Telemetry(robot, self._spec.clock),  # type: ignore[misc]
+                remote_addr=address,
+            )
+
+    def _listen(self, connection: Connection, loop: asyncio.AbstractEventLoop, ended: asyncio.Event) -> None:
+        """Answer the parent; when it goes away, whatever the reason, the field ends."""
+        try:
+            while True:
+                question = connection.recv()
+                future = asyncio.run_coroutine_threadsafe(self._answer(*question), loop)
+                try:
+                    connection.send(future.result())
+                except (ValueError, KeyError, TypeError, OSError) as error:
+                    connection.send(ValueError(f"{question}: {error!r}"))
+        except (EOFError, OSError):
+            with contextlib.suppress(RuntimeError):
+                loop.call_soon_threadsafe(ended.set)
+
+    async def _answer(self, what: str, *rest: Any) -> Any:
+        if what == "fault":
+            fault, name, value = rest
+            handler = getattr(_Faults(), fault, None) if not fault.startswith("_") else None
+            if handler is None and fault != "reboot":
+                raise ValueError("no such fault")
+            if fault == "reboot":
+                self._robots[name].autopilot.reboot(_world_s(self._spec.clock))
+            elif handler is not None:
+                await handler(self._robots[name], value)
+            return None
+        if what == "truth":
+            bodies = {name: robot.autopilot.body for name, robot in self._robots.items()}
+            return {name: (body.east_m, body.north_m, body.heading_deg) for name, body in bodies.items()}
+        return {
+            "transmissions": list(self._sent),
+            "robots": {
+                name: {
+                    "frames": robot.heard,
+                    "frames_lost": robot.radio.lost_writes,
+                    "bytes_from_host": robot.radio.module.bytes_in,
+                    "transmitted": robot.radio.module.transmitted,
+                    "mode": robot.autopilot.mode,
+                    "armed": robot.autopilot.armed,
+                }
+                for name, robot in self._robots.items()
+            },
+        }
+
+    async def _live(self) -> None:
+        clock = self._spec.clock
+        step_s = max(STEP_S, STEP_WALL_S * clock.rate)
+        self._schedule.until(_world_s(clock))  # sent before anybody was there to hear
+        next_s = _world_s(clock)
+        while True:
+            t_s = _world_s(clock)
+            for robot in self._robots.values():
+                robot.send(robot.autopilot.update(t_s))
+            for _, source in self._schedule.until(t_s):
+                self._transmit(source)
+            next_s = max(next_s + step_s, t_s)
+            await clock.sleep(next_s - _world_s(clock))
+
+    def _transmit(self, source: TransientSource) -> None:
+        """One packet: every robot draws its own noise; those that hear it have it on their wire at once."""
+        index = self._spec.sources.index(source)
+        number, self._sent[index] = self._sent[index], self._sent[index] + 1
+        robots = list(self._robots.values())
+        bodies = [robot.autopilot.body for robot in robots]
+        ranges_m = np.array([np.hypot(b.east_m - source.east_m, b.north_m - source.north_m) for b in bodies])
+        rss_dbm = sample_rss_dbm(self._spec.antenna, ranges_m, source.power_db, self._channel_rng)
+        payload = number.to_bytes(4, "big")
+        for robot, strength in zip(robots, rss_dbm, strict=True):
+            if robot.plugged and np.isfinite(strength):
+                robot.heard += robot.radio.hear(float(strength), SOURCE_ADDRESS + index, payload)

@@ -1,0 +1,233 @@
+"""What is known of one vehicle, from what it says: presence, mode, ownership, position, time. Pure: no I/O, no clock.
+
+Elapsed times `now_s` are the mission clock's `elapsed_s`, instants `now_ns` its `now_ns`.
+"""
+
+import math
+from collections import deque
+from typing import Literal
+
+from drivers.mavlink.codec import Message, mavlink
+from drivers.mavlink.modes import PX4, Firmware, firmware_of
+from drivers.mavlink.timebase import TimeBase
+from drivers.mavlink.transport import Peer
+from fieldkit.geo import FieldFrame
+from fieldkit.messages import Pose, VehicleMode, VehicleState
+
+WARN_S = 2.0
+LOST_S = 5.0
+"""Age of the autopilot's heartbeat (1 Hz) at which the link counts as lost."""
+STATE_EVERY_S = 1.0
+SAME_ID_S = 3.0
+"""A second address is a second vehicle if the first speaks again within this time."""
+REBOOT_BACK_MS = 1000
+"""A boot clock further back than this means a reboot; less is a datagram out of order."""
+NO_POSITION = (0, 0)
+
+Happening = Pose | VehicleState
+
+
+class Vehicle:
+    """One vehicle as heard on one link."""
+
+    def __init__(self, robot: str, system_id: int, frame: FieldFrame, sigma_m: float = 0.0) -> None:
+        self.robot = robot
+        self.system_id = system_id
+        self.peer: Peer | None = None
+        """Latest address of the autopilot; None before the first heartbeat."""
+        self.firmware: Firmware | None = None
+        self.custom_mode = -1
+        self.armed = False
+        self.link_up = False
+        self.heartbeat_s = -math.inf
+        self.heartbeats = 0
+        self.position_s = -math.inf
+        self.battery_pct: float | None = None
+        self.healthy_to_arm: bool | None = None
+        self.position_target: tuple[int, int] | None = None
+        """Where it says it is going, degrees times 1e7."""
+        self.position_target_s = -math.inf
+        self.reboots = 0
+        self.texts: deque[tuple[float, str]] = deque(maxlen=20)
+        """(elapsed time, STATUSTEXT), newest last."""
+        self.doubles: set[Peer] = set()
+        """Addresses that claim the same system id; not empty means: do not steer."""
+        self.owner: Literal["nobody", "us", "lost"] = "nobody"
+        self.commanded: VehicleMode | None = None
+        """The mode we asked for last."""
+        self._confirmed = False
+        self._frame = frame
+        self._sigma_m = sigma_m
+        self._gps_sigma_m: float | None = None
+        self._gps_good = True
+        self._time = TimeBase()
+        self._boot_ms: int | None = None
+        self._heading_deg = 0.0
+        self._first_seen: dict[Peer, float] = {}
+        self._chunks: dict[int, str] = {}
+        self._reported: tuple[object, ...] = ()
+        self._reported_s = -math.inf
+        self._why = ""
+
+    # What it says
+
+    def heard(self, message: Message, peer: Peer, now_s: float, now_ns: int) -> list[Happening]:
+        """Take in a message of its autopilot; what that means to the mission."""
+        kind = message.get_type()
+        if kind == "HEARTBEAT":
+            self._heartbeat(message, peer, now_s)
+        elif self.doubles or peer != self.peer:
+            return []
+        elif kind == "GLOBAL_POSITION_INT":
+            return [*self._position(message, now_s, now_ns), *self._report(now_s, now_ns)]
+        elif kind == "STATUSTEXT":
+            self._text(message, now_s)
+        elif kind == "SYS_STATUS":
+            self.battery_pct = float(message.battery_remaining) if message.battery_remaining >= 0 else None
+            bit = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+            if message.onboard_control_sensors_present & bit:
+                self.healthy_to_arm = bool(message.onboard_control_sensors_health & bit)
+        elif kind == "GPS_RAW_INT":
+            self._gps(message)
+        elif kind == "POSITION_TARGET_GLOBAL_INT":
+            self.position_target, self.position_target_s = (message.lat_int, message.lon_int), now_s
+        elif kind == "SYSTEM_TIME":
+            self._boot(message.time_boot_ms)
+        return self._report(now_s, now_ns)
+
+    def passed(self, now_s: float, now_ns: int) -> list[Happening]:
+        """Time has passed: the link may be lost, the state may be due."""
+        if self.link_up and now_s - self.heartbeat_s > LOST_S:
+            self.link_up = False
+            self._say(now_s, f"no heartbeat for {LOST_S:g} s: link lost")
+            if self.owner == "us":
+                self.owner = "lost"  # its own failsafe decides meanwhile; going on needs a new take-over
+        if self.doubles and all(
+            now_s - self._first_seen.get(peer, -math.inf) > 10.0 for peer in self.doubles
+        ):
+            self.doubles.clear()
+        return self._report(now_s, now_ns) if self.peer is not None else []
+
+    def _heartbeat(self, message: Message, peer: Peer, now_s: float) -> None:
+        if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
+            return
+        self._watch_for_double(peer, now_s)
+        if peer != self.peer:
+            return
+        if not self.link_up:
+            self.link_up = True
+            self._say(now_s, "link up" if self.heartbeats == 0 else "link is back")
+        self.heartbeat_s = now_s
+        self.heartbeats += 1
+        self.firmware = firmware_of(message)
+        self.custom_mode = message.custom_mode
+        self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        self._check_ownership(now_s)
+
+    def _watch_for_double(self, peer: Peer, now_s: float) -> None:
+        """Follow a vehicle that moved to another address; notice two vehicles with one system id."""
+        if self.peer is None or (peer != self.peer and now_s - self.heartbeat_s > SAME_ID_S):
+            self.peer = peer
+        elif peer != self.peer:
+            self._first_seen[peer] = now_s
+        elif (
+            double := next((p for p, t in self._first_seen.items() if now_s - t < SAME_ID_S), None)
+        ) is not None:
+            if double not in self.doubles:
+                self.doubles.add(double)
+                self._say(now_s, f"two vehicles have system id {self.system_id}: {self.peer} and {double}")
+                if self.owner == "us":
+                    self.owner = "lost"
+
+    def _check_ownership(self, now_s: float) -> None:
+        is_ours = self.actual_mode == self.commanded
+        if self.owner == "us" and self._confirmed and not is_ours:
+            self.owner = "lost"
+            self._say(now_s, f"someone else put it in {self._mode_words()}: no longer ours to steer")
+        self._confirmed = self._confirmed or is_ours
+
+    def _position(self, message: Message, now_s: float, now_ns: int) -> list[Happening]:
+        self._boot(message.time_boot_ms)
+        t_ns = self._time.heard(message.time_boot_ms * 1_000_000, now_ns)
+        if (message.lat, message.lon) == NO_POSITION or not self._gps_good:
+            return []
+        self.position_s = now_s
+        if message.hdg != 65535:
+            self._heading_deg = message.hdg / 100.0
+        up_m = message.relative_alt / 1000.0
+        east_m, north_m, _ = self._frame.to_local(message.lat / 1e7, message.lon / 1e7)
+        sigma_m = self._sigma_m or self._gps_sigma_m or 0.0
+        return [Pose(t_ns, self.robot, east_m, north_m, up_m, self._heading_deg % 360.0, sigma_m, "mavlink")]
+
+    def _gps(self, message: Message) -> None:
+        """Without a fix the autopilot goes on sending dead-reckoned positions that look fresh."""
+        self._gps_good = message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX
+        self._gps_sigma_m = message.h_acc / 1000.0 if message.h_acc else None
+
+    def _boot(self, boot_ms: int) -> None:
+        if self._boot_ms is not None and boot_ms < self._boot_ms - REBOOT_BACK_MS:
+            self._time.clear()
+            self.position_target = None
+            self.reboots += 1
+            self.owner = "lost" if self.owner == "us" else self.owner
+            self._why = "it has rebooted"
+            self._boot_ms = boot_ms
+        self._boot_ms = max(boot_ms, self._boot_ms or 0)
+
+    def _text(self, message: Message, now_s: float) -> None:
+        """Long texts come in chunks of 50 characters; one shorter than that is the last."""
+        text = message.text.rstrip("\0")
+        if message.id:
+            text = self._chunks.pop(message.id, "") + text if message.chunk_seq else text
+            if len(message.text) >= 50:
+                self._chunks = {message.id: text}
+                return
+        self._say(now_s, text)
+
+    def _say(self, now_s: float, text: str) -> None:
+        self.texts.append((now_s, text))
+        self._why = text
+
+    # What we make of it
+
+    @property
+    def actual_mode(self) -> VehicleMode:
+        """The mode it is in, whoever chose it."""
+        if self.firmware is None:
+            return "unknown"
+        mode = self.firmware.meaning(self.custom_mode)
+        if self.firmware is PX4 and mode == "hold" and self.commanded == "guided":
+            return "guided"  # PX4 executes a reposition inside its hold mode
+        return mode
+
+    @property
+    def mode(self) -> VehicleMode:
+        """The mode as the mission may read it: `other` whenever we do not own the vehicle but did, or it is driven."""
+        actual = self.actual_mode
+        if self.owner == "lost" or (self.owner == "nobody" and actual == "guided"):
+            return "other"
+        return actual
+
+    def command(self, mode: VehicleMode) -> None:
+        """Note that we are asking for a mode: until it is confirmed, another one is no loss of ownership."""
+        if mode != self.commanded or self.actual_mode != mode:
+            self.commanded, self._confirmed = mode, False
+
+    def words_since(self, then_s: float) -> str:
+        """What it said since then, for an error message."""
+        return "; ".join(text for t_s, text in self.texts if t_s >= then_s)
+
+    def _mode_words(self) -> str:
+        return self.actual_mode if self.actual_mode != "other" else f"mode {self.custom_mode}"
+
+    def _report(self, now_s: float, now_ns: int) -> list[Happening]:
+        """The state, if it changed or is due."""
+        if self.peer is None:
+            return []
+        now = (self.mode, self.armed, self.link_up, self._why)
+        if now == self._reported and now_s - self._reported_s < STATE_EVERY_S:
+            return []
+        self._reported, self._reported_s = now, now_s
+        return [
+            VehicleState(now_ns, self.robot, self.mode, self.armed, self.link_up, self.battery_pct, self._why)
+        ]
