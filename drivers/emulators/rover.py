@@ -56,7 +56,7 @@ class RoverAutopilot:
     pose_noise_m: float = 0.0
     """Standard deviation of each reported coordinate; the body's own position is exact."""
     gcs_failsafe_s: float = 6.5
-    """HOLD when the ground station's heartbeat is older; 0: FS_GCS_ENABLE off. Armed by the first heartbeat."""
+    """HOLD when the ground station's heartbeat is older; 0 is FS_GCS_ENABLE off. Live from the first one."""
     battery_pct: float = 100.0
     trouble: Trouble = field(default_factory=Trouble)
 

@@ -1,7 +1,7 @@
 """MAVLink 2 frames to messages and back, through pymavlink's generated dialect and nothing else of pymavlink.
 
-`pymavlink.mavutil` is never imported: it switches protocol version, addresses and environment variables of the
-whole process behind one's back. The ardupilotmega dialect contains common, so PX4 is understood as well.
+`pymavlink.mavutil` is never imported: it switches protocol version, addresses and environment variables of
+the whole process behind one's back. The ardupilotmega dialect contains common, so PX4 is understood as well.
 """
 
 from typing import Any

@@ -67,7 +67,8 @@ class Commander:
                 continue
             raise VehicleRefused(await self._refusal(vehicle, what, result, asked_s))
         raise DeviceTimeout(
-            f"{vehicle.robot} (system {vehicle.system_id}): {what}: no answer to {tries} attempts; check the link"
+            f"{vehicle.robot} (system {vehicle.system_id}): {what}: no answer to {tries} attempts; "
+            "check the link"
         )
 
     async def _once(self, vehicle: Vehicle, message: Message, wait_s: float) -> Result | None:

@@ -239,8 +239,8 @@ class MavlinkLink:
         async with steering.lock:
             if not await self._until(lambda: vehicle.link_up, 10.0):
                 raise DeviceTimeout(
-                    f"{robot}: no heartbeat from system {vehicle.system_id} on {self._address}; is it switched on, "
-                    "is its system id right, does it send to this address?"
+                    f"{robot}: no heartbeat from system {vehicle.system_id} on {self._address}; is it "
+                    "switched on, is its system id right, does it send to this address?"
                 )
             self._refuse_double(vehicle)
             if vehicle.firmware is None:

@@ -1,4 +1,4 @@
-"""What the mode numbers in a HEARTBEAT mean: they differ per firmware (4 is HOLD on a rover, GUIDED on a copter).
+"""What the mode numbers in a HEARTBEAT mean, per firmware: 4 is HOLD on a rover and GUIDED on a copter.
 
 Sources: ArduRover `mode.h`, ArduCopter `mode.h`, PX4 `px4_custom_mode.h`.
 """

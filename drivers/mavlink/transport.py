@@ -65,7 +65,7 @@ def make_transport(address: str) -> Transport:
 
 
 class Udp:
-    """One datagram socket. Reads all that waits at every wake-up: a backlog would look like a lost vehicle."""
+    """One datagram socket. Reads all that waits at each wake-up: a backlog would look like a lost vehicle."""
 
     def __init__(self, address: tuple[str, int], *, listen: bool) -> None:
         self._address, self._listen = address, listen
@@ -151,7 +151,8 @@ class Tcp:
             )
         except (OSError, TimeoutError) as error:
             raise DeviceError(
-                f"vehicle link tcp {self._host}:{self._port}: {error or 'no answer'}; is the autopilot or router up?"
+                f"vehicle link tcp {self._host}:{self._port}: {error or 'no answer'}; "
+                "is the autopilot or router up?"
             ) from error
         self._task = asyncio.create_task(self._run(reader, on_data), name="mavlink-tcp")
 

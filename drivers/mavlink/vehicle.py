@@ -1,4 +1,4 @@
-"""What is known of one vehicle, from what it says: presence, mode, ownership, position, time. Pure: no I/O, no clock.
+"""What is known of one vehicle, from what it says. Pure: no input or output, no clock.
 
 Elapsed times `now_s` are the mission clock's `elapsed_s`, instants `now_ns` its `now_ns`.
 """
@@ -19,7 +19,9 @@ LOST_S = 5.0
 """Age of the autopilot's heartbeat (1 Hz) at which the link counts as lost."""
 STATE_EVERY_S = 1.0
 SAME_ID_S = 3.0
-"""A second address is a second vehicle if the first speaks again within this time."""
+"""A vehicle silent for this long may have moved to another address."""
+FORGET_S = 10.0
+MAX_SPEAKERS = 8
 REBOOT_BACK_MS = 1000
 """A boot clock further back than this means a reboot; less is a datagram out of order."""
 NO_POSITION = (0, 0)
@@ -63,7 +65,8 @@ class Vehicle:
         self._time = TimeBase()
         self._boot_ms: int | None = None
         self._heading_deg = 0.0
-        self._first_seen: dict[Peer, float] = {}
+        self._speakers: dict[Peer, tuple[float, float, int]] = {}
+        """Address to its first and last heartbeat and their number."""
         self._chunks: dict[int, str] = {}
         self._reported: tuple[object, ...] = ()
         self._reported_s = -math.inf
@@ -125,19 +128,31 @@ class Vehicle:
         self._check_ownership(now_s)
 
     def _watch_for_double(self, peer: Peer, now_s: float) -> None:
-        """Follow a vehicle that moved to another address; notice two vehicles with one system id."""
+        """Follow a vehicle that moved to another address; notice two vehicles that share one system id.
+
+        They differ in this: one that moved is silent at its old address before it speaks at the new one.
+        """
         if self.peer is None or (peer != self.peer and now_s - self.heartbeat_s > SAME_ID_S):
             self.peer = peer
-        elif peer != self.peer:
-            self._first_seen[peer] = now_s
-        elif (
-            double := next((p for p, t in self._first_seen.items() if now_s - t < SAME_ID_S), None)
-        ) is not None:
-            if double not in self.doubles:
-                self.doubles.add(double)
-                self._say(now_s, f"two vehicles have system id {self.system_id}: {self.peer} and {double}")
-                if self.owner == "us":
-                    self.owner = "lost"
+        first_s, _, count = self._speakers.get(peer, (now_s, now_s, 0))
+        self._speakers[peer] = (first_s, now_s, count + 1)
+        self._forget_speakers(now_s)
+        mine = self._speakers.get(self.peer, (now_s, now_s, 0))
+        doubles = {
+            other
+            for other, (first_s, last_s, count) in self._speakers.items()
+            if other != self.peer and min(count, mine[2]) >= 2 and first_s < mine[1] and mine[0] < last_s
+        }
+        if doubles - self.doubles:
+            self._say(now_s, f"two vehicles have system id {self.system_id}: {self.peer} and {min(doubles)}")
+            self.owner = "lost" if self.owner == "us" else self.owner
+        self.doubles = doubles
+
+    def _forget_speakers(self, now_s: float) -> None:
+        """Addresses silent for a while, and the oldest of many, are forgotten."""
+        kept = [(peer, times) for peer, times in self._speakers.items() if now_s - times[1] < FORGET_S]
+        self._speakers = dict(kept[-MAX_SPEAKERS:])
+        self.doubles &= self._speakers.keys()
 
     def _check_ownership(self, now_s: float) -> None:
         is_ours = self.actual_mode == self.commanded

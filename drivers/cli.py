@@ -1,0 +1,82 @@
+"""`fieldkit emulate`: devices that are not there, for trying drivers and missions."""
+
+from typing import Annotated
+
+import typer
+
+emulate = typer.Typer(
+    help="Emulate a radio, a rover or a whole field on real wires. Example: fieldkit emulate xbee",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+Rate = Annotated[float, typer.Option(help="Mission seconds per wall second.")]
+Seed = Annotated[int, typer.Option(help="Same seed, same sources and noise.")]
+
+
+@emulate.command()
+def xbee(
+    profile: Annotated[str, typer.Option(help="s1, s1pro, s2c, xb3, 900hp or zigbee.")] = "s2c",
+    rate_hz: Annotated[float, typer.Option(help="Packets per second it hears.")] = 1.0,
+    rss_dbm: Annotated[float, typer.Option(help="How strongly it hears them, mean.")] = -70.0,
+    sigma_db: Annotated[float, typer.Option(help="Standard deviation of the strength.")] = 4.0,
+    api_mode: Annotated[int, typer.Option(help="AP: 0 transparent, 1 API, 2 API escaped.")] = 2,
+    output: Annotated[int, typer.Option(help="AO: 2 gives frames with RSSI.")] = 2,
+    tcp: Annotated[int, typer.Option(help="Serve on this TCP port instead of a pseudo-terminal.")] = 0,
+    seed: Seed = 1,
+) -> None:
+    """Emulate an XBee that hears a transmitter. Example: fieldkit emulate xbee --profile s1pro"""
+    import asyncio
+
+    from drivers.emulators.alone import run_xbee
+    from drivers.emulators.xbee import PROFILES
+    from fieldkit.errors import ConfigError
+
+    if profile not in PROFILES:
+        raise ConfigError(f"--profile: no '{profile}'; there are: {', '.join(PROFILES)}")
+    if rate_hz <= 0:
+        raise ConfigError(f"--rate-hz: expected a positive number, got {rate_hz:g}")
+    settings = {"AP": api_mode, "AO": output}
+    asyncio.run(run_xbee(PROFILES[profile], settings, rate_hz, rss_dbm, sigma_db, tcp, seed))
+
+
+@emulate.command()
+def rover(
+    address: Annotated[str, typer.Option(help="Where its telemetry goes, host:port.")] = "127.0.0.1:14550",
+    system_id: Annotated[int, typer.Option(min=1, max=250, help="Its MAVLink system id.")] = 1,
+    latitude_deg: Annotated[float, typer.Option(help="Where it stands.")] = 47.3977,
+    longitude_deg: Annotated[float, typer.Option(help="Where it stands.")] = 8.5456,
+    max_speed_m_s: Annotated[float, typer.Option(help="Its top speed.")] = 1.0,
+    rate: Rate = 1.0,
+    seed: Seed = 1,
+) -> None:
+    """Emulate an ArduRover on UDP. Example: fieldkit emulate rover --address 127.0.0.1:14550"""
+    from drivers.emulators.alone import run_field
+    from drivers.emulators.field import EmulatedRobot
+
+    robots = (EmulatedRobot("rover", system_id, 0.0, 0.0),)
+    run_field(robots, (), address, (latitude_deg, longitude_deg), max_speed_m_s, rate, seed)
+
+
+@emulate.command()
+def field(
+    robots: Annotated[int, typer.Option(min=1, max=100, help="Robots, each with an XBee and a rover.")] = 4,
+    sources: Annotated[int, typer.Option(min=0, max=50, help="Hidden transmitters.")] = 3,
+    size_m: Annotated[float, typer.Option(min=1.0, help="Side of the square field.")] = 10.0,
+    address: Annotated[str, typer.Option(help="Where telemetry goes, host:port.")] = "127.0.0.1:14550",
+    rate: Rate = 1.0,
+    seed: Seed = 1,
+) -> None:
+    """Emulate robots, radios and hidden transmitters. Example: fieldkit emulate field --robots 4 --rate 5"""
+    import numpy as np
+
+    from drivers.emulators.alone import run_field
+    from drivers.emulators.field import EmulatedRobot
+    from fieldkit.world.sources import random_sources
+
+    rng = np.random.default_rng(seed)
+    hidden = random_sources(sources, size_m, size_m, (0.0,), 0.1, rng)
+    team = tuple(
+        EmulatedRobot(f"robot{n + 1}", n + 1, size_m * (n + 0.5) / robots, 0.5) for n in range(robots)
+    )
+    run_field(team, tuple(hidden), address, (47.3977, 8.5456), 0.4, rate, seed)
