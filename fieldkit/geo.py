@@ -14,7 +14,9 @@ class FieldFrame:
     origin_lon_deg: float
     origin_alt_m: float = 0.0
 
-    def to_local(self, lat_deg: float, lon_deg: float, alt_m: float | None = None) -> tuple[float, float, float]:
+    def to_local(
+        self, lat_deg: float, lon_deg: float, alt_m: float | None = None
+    ) -> tuple[float, float, float]:
         """East, north, up in metres. Altitude defaults to the origin's."""
         alt = self.origin_alt_m if alt_m is None else alt_m
         east, north, up = pymap3d.geodetic2enu(

@@ -250,13 +250,18 @@ class Kernel:
     def _plan(self, now_ns: int, teams: tuple[tuple[str, ...], ...]) -> Plan | None:
         if not teams:
             return None
-        self._errands = {team: e for team, e in self._errands.items() if team not in teams and team in self._teams()}
+        self._errands = {
+            team: e for team, e in self._errands.items() if team not in teams and team in self._teams()
+        }
         position = {
             name: (robot.pose.east_m, robot.pose.north_m)
             for name, robot in self.robots.items()
             if robot.pose is not None
         }
-        busy = {team: Plan(now_ns, {r: p[e.leg :] for r, p in e.paths.items()}) for team, e in self._errands.items()}
+        busy = {
+            team: Plan(now_ns, {r: p[e.leg :] for r, p in e.paths.items()})
+            for team, e in self._errands.items()
+        }
         plan = self.planner.plan(Situation(now_ns, position, teams, busy), self.belief)
         for team in teams:
             paths = {robot: plan.paths.get(robot, ()) for robot in team}

@@ -12,7 +12,7 @@ from fieldkit.antenna.model import Antenna
 from fieldkit.messages import EndMission, Event, GoTo, Hold, Pose, Return, RssReading, Tick, VehicleState
 from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.rover import Rover
-from fieldkit.world.sources import Transmissions, TransientSource
+from fieldkit.world.sources import TransientSource, Transmissions
 from mission.kernel import Kernel, KernelSettings
 
 
@@ -51,10 +51,15 @@ def simulate(settings: KernelSettings, truth: Truth, seed: int, *, step_s: float
     kernel = Kernel(settings)
     rng_traffic, rng_channel, rng_pose = (np.random.default_rng([seed, k]) for k in range(3))
     robots = settings.engine.robots
-    rovers = {r: Rover(e, n, max_speed_m_s=truth.max_speed_m_s) for r, (e, n) in zip(robots, truth.start_m, strict=True)}
+    rovers = {
+        r: Rover(e, n, max_speed_m_s=truth.max_speed_m_s)
+        for r, (e, n) in zip(robots, truth.start_m, strict=True)
+    }
     clock_s = dict(zip(robots, rng_pose.normal(0.0, 1.0, len(robots)) * truth.clock_sigma_s, strict=True))
     turn = rng_pose.uniform(0.0, 2 * np.pi, len(robots))
-    bias = {r: truth.pose_bias_m * np.array([np.sin(a), np.cos(a)]) for r, a in zip(robots, turn, strict=True)}
+    bias = {
+        r: truth.pose_bias_m * np.array([np.sin(a), np.cos(a)]) for r, a in zip(robots, turn, strict=True)
+    }
     traffic = Transmissions(list(truth.sources), rng_traffic)
     covered_at: dict[int, float] = {}
     inbox: list[Event] = [VehicleState(0, robot, "guided", True) for robot in robots]
@@ -64,7 +69,17 @@ def simulate(settings: KernelSettings, truth: Truth, seed: int, *, step_s: float
         for robot, rover in rovers.items():
             noise = rng_pose.normal(0.0, truth.pose_sigma_m, 2) if truth.pose_sigma_m > 0 else np.zeros(2)
             east, north = np.array([rover.east_m, rover.north_m]) + bias[robot] + noise
-            inbox.append(Pose(round(t_s * 1e9), robot, float(east), float(north), 0.0, rover.heading_deg, truth.pose_sigma_m))
+            inbox.append(
+                Pose(
+                    round(t_s * 1e9),
+                    robot,
+                    float(east),
+                    float(north),
+                    0.0,
+                    rover.heading_deg,
+                    truth.pose_sigma_m,
+                )
+            )
         for at_s, source in traffic.until(t_s):
             inbox += _heard(at_s, source, rovers, clock_s, truth, rng_channel)
         inbox.append(Tick(round(t_s * 1e9)))
@@ -89,7 +104,11 @@ def simulate(settings: KernelSettings, truth: Truth, seed: int, *, step_s: float
                 end_reason = "every source is found"
     done = len(covered_at) == len(truth.sources)
     return Result(
-        kernel, t_s, end_reason, max(covered_at.values(), default=0.0) if done else None, count_false(kernel, truth)
+        kernel,
+        t_s,
+        end_reason,
+        max(covered_at.values(), default=0.0) if done else None,
+        count_false(kernel, truth),
     )
 
 
@@ -108,7 +127,12 @@ def _heard(
         rss = np.where(rng.random(rss.shape) < truth.packet_loss, np.nan, rss)
     ceiling = truth.antenna.saturation_dbm
     return [
-        RssReading(round((at_s + clock_s[robot]) * 1e9), robot, float(value), saturated=ceiling is not None and value >= ceiling)
+        RssReading(
+            round((at_s + clock_s[robot]) * 1e9),
+            robot,
+            float(value),
+            saturated=ceiling is not None and value >= ceiling,
+        )
         for robot, value in zip(rovers, rss, strict=True)
         if not np.isnan(value)
     ]

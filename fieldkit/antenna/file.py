@@ -48,7 +48,9 @@ def read_antenna(path: Path, *, allow_refused: bool = False) -> AntennaFile:
     parsed = parse_antenna(raw, str(path))
     if parsed.verdict == "refused" and not allow_refused:
         reasons = "; ".join(parsed.reasons) or "no reason recorded"
-        raise ConfigError(f"{path}: this calibration was refused ({reasons}); collect what is missing and fit again")
+        raise ConfigError(
+            f"{path}: this calibration was refused ({reasons}); collect what is missing and fit again"
+        )
     return parsed
 
 
@@ -58,7 +60,9 @@ def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
     if not isinstance(schema, int):
         raise ConfigError(f"{where}: schema: expected the integer {SCHEMA}, got {schema!r}")
     if schema > SCHEMA:
-        raise ConfigError(f"{where}: schema: {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit")
+        raise ConfigError(
+            f"{where}: schema: {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
+        )
     if raw.get("model", "omnidirectional") != "omnidirectional":
         raise ConfigError(f"{where}: model: expected 'omnidirectional', got {raw['model']!r}")
     parameters = raw.get("parameters")
@@ -69,7 +73,12 @@ def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
         value = parameters.get(name)
         if value is None and name == "saturation_dbm":
             continue
-        if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) > 1e6:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or value != value
+            or abs(value) > 1e6
+        ):
             raise ConfigError(f"{where}: parameters.{name}: expected a finite number, got {value!r}")
         values[name] = float(value)
     for name in ("path_loss_exponent", "sigma_db"):
@@ -78,12 +87,16 @@ def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
     verdict = raw.get("verdict", {})
     state = verdict.get("state", "accepted")
     if state not in ("accepted", "accepted with warnings", "refused"):
-        raise ConfigError(f"{where}: verdict.state: expected accepted, accepted with warnings or refused, got {state!r}")
+        raise ConfigError(
+            f"{where}: verdict.state: expected accepted, accepted with warnings or refused, got {state!r}"
+        )
     return AntennaFile(
         antenna=Antenna(**values),  # type: ignore[arg-type]
         verdict=state,
         reasons=tuple(verdict.get("reasons", ())),
-        intervals_95={name: (float(low), float(high)) for name, (low, high) in raw.get("intervals_95", {}).items()},
+        intervals_95={
+            name: (float(low), float(high)) for name, (low, high) in raw.get("intervals_95", {}).items()
+        },
         covariance=dict(raw.get("covariance", {})),
         data=dict(raw.get("data", {})),
         radio=dict(raw.get("radio", {})),
@@ -93,7 +106,9 @@ def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
 def dump_antenna(file: AntennaFile) -> str:
     """The text of an antenna file, with units in the comments."""
     document = tomlkit.document()
-    document.add(tomlkit.comment("How received power falls with distance, as calibrated. Written by fieldkit."))
+    document.add(
+        tomlkit.comment("How received power falls with distance, as calibrated. Written by fieldkit.")
+    )
     document["schema"] = SCHEMA
     document["model"] = file.model
     notes = {

@@ -112,7 +112,11 @@ class Associator:
             return
         for group in self._open:
             same_frame = reading.frame_id is None or group.frame_id in (None, reading.frame_id)
-            if abs(reading.t_ns - group.t_ns) <= self._window_ns and reading.robot not in group.readings and same_frame:
+            if (
+                abs(reading.t_ns - group.t_ns) <= self._window_ns
+                and reading.robot not in group.readings
+                and same_frame
+            ):
                 group.readings[reading.robot] = reading
                 return
         self._open.append(_Group(reading.t_ns, {reading.robot: reading}))
@@ -120,7 +124,9 @@ class Associator:
     def advance(self, now_ns: int) -> tuple[list[Detection], list[Listening]]:
         """What can be said for sure at `now_ns`: closed detections in order of time, and listening up to then."""
         horizon_ns = now_ns - self._lateness_ns
-        ready = sorted((g for g in self._open if g.t_ns + self._window_ns <= horizon_ns), key=lambda g: g.t_ns)
+        ready = sorted(
+            (g for g in self._open if g.t_ns + self._window_ns <= horizon_ns), key=lambda g: g.t_ns
+        )
         self._open = [g for g in self._open if g.t_ns + self._window_ns > horizon_ns]
         self._closed_ns = max(self._closed_ns, horizon_ns - self._window_ns)
         detections = [detection for group in ready if (detection := self._detection(group)) is not None]

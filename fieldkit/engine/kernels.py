@@ -6,7 +6,6 @@ heard nothing; `levels` (h,) are received powers at 1 m in dBm.
 
 import math
 
-import numpy as np
 from numba import njit
 
 from fieldkit.messages import FloatArray
@@ -34,6 +33,7 @@ def levels_loglik(
     place_sigma: float,
     loss: float,
     outlier: float,
+    outlier_width: float,
     out: FloatArray,
 ) -> None:
     """out (h, n): log p(readings | source at the point with that level). See `sensing.levels`."""
@@ -57,10 +57,13 @@ def levels_loglik(
                 if math.isnan(rss[q]):
                     p = loss + (1.0 - loss) * _upper((mean - threshold - 0.5) / spread)
                 elif saturated[q] > 0.0:
-                    p = outlier / 80.0 + (1.0 - loss) * _upper((rss[q] - 0.5 - mean) / spread)
+                    t = (rss[q] - 0.5 - mean) / spread
+                    p = (1.0 - loss) * ((1.0 - outlier) * _upper(t) + outlier * _upper(t / outlier_width))
                 else:
                     t = (rss[q] - mean) / wide
-                    p = outlier / 80.0 + (1.0 - loss) * norm * math.exp(-0.5 * t * t)
+                    core = (1.0 - outlier) * math.exp(-0.5 * t * t)
+                    tail = outlier / outlier_width * math.exp(-0.5 * t * t / (outlier_width * outlier_width))
+                    p = (1.0 - loss) * norm * (core + tail)
                 out[h, i] += math.log(max(p, 1e-300))
 
 
@@ -130,41 +133,31 @@ def leave_one_out(loglik: FloatArray, logpost: FloatArray, weight: float) -> flo
 
 
 @njit(cache=True, nogil=True)
-def rate_sweeps(
+def another_source_llr(
     stacked: FloatArray,
     start: FloatArray,
     box: FloatArray,
-    weight: FloatArray,
+    rate: float,
     exposure: FloatArray,
-    prior_s: float,
-    rate: FloatArray,
-    sweeps: int,
+    out: FloatArray,
 ) -> None:
-    """EM (list-mode MLEM) sweeps of the rate map (n_north, n_east), in place.
+    """out (levels, n_north, n_east): log likelihood ratio of one more source of that power in the cell, over none.
 
-    Detection k's likelihood over its box (row0, row1, column0, column1) stands in `stacked` from `start[k]`, row by row.
+    -rate * exposure + sum over detections of log(1 + rate * L / intensity already explaining it), the Poisson
+    process likelihood ratio. Detection k's ratio L / intensity stands in `stacked` (levels, sum of boxes) from
+    `start[k]` over its box (row0, row1, column0, column1), row by row.
     """
-    rows, columns = rate.shape
-    share = np.zeros((rows, columns))
-    for _ in range(sweeps):
-        share[:] = 0.0
-        for k in range(start.shape[0]):
-            if weight[k] <= 0.0:
-                continue
-            at = start[k]
-            total = 1e-300
-            for r in range(box[k, 0], box[k, 1]):
-                for c in range(box[k, 2], box[k, 3]):
-                    total += rate[r, c] * stacked[at]
-                    at += 1
-            at = start[k]
-            for r in range(box[k, 0], box[k, 1]):
-                for c in range(box[k, 2], box[k, 3]):
-                    share[r, c] += weight[k] * rate[r, c] * stacked[at] / total
-                    at += 1
+    levels, rows, columns = exposure.shape
+    for h in range(levels):
         for r in range(rows):
             for c in range(columns):
-                rate[r, c] = share[r, c] / (exposure[r, c] + prior_s)
+                out[h, r, c] = -rate * exposure[h, r, c]
+        for k in range(start.shape[0]):
+            at = start[k]
+            for r in range(box[k, 0], box[k, 1]):
+                for c in range(box[k, 2], box[k, 3]):
+                    out[h, r, c] += math.log1p(rate * stacked[h, at])
+                    at += 1
 
 
 @njit(cache=True, nogil=True)
@@ -211,7 +204,9 @@ def path_ground_gain(
     for r in range(rows):
         for c in range(columns):
             if scratch[r, c] > 0.0:
-                gain += value[r, c] * math.exp(-rate * planned[r, c]) * (1.0 - math.exp(-rate * scratch[r, c]))
+                gain += (
+                    value[r, c] * math.exp(-rate * planned[r, c]) * (1.0 - math.exp(-rate * scratch[r, c]))
+                )
     return gain
 
 

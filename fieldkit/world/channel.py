@@ -6,9 +6,13 @@ from fieldkit.antenna.model import Antenna
 from fieldkit.messages import FloatArray
 
 
-def sample_rss_dbm(antenna: Antenna, range_m: FloatArray, power_db: float, rng: np.random.Generator) -> FloatArray:
+def sample_rss_dbm(
+    antenna: Antenna, range_m: FloatArray, power_db: float, rng: np.random.Generator
+) -> FloatArray:
     """(m,) integer readings at `range_m` (m,), nan where the packet is not received, capped at saturation."""
-    reading = np.floor(antenna.mean_rss_dbm(range_m, power_db) + rng.normal(0.0, antenna.sigma_db, range_m.shape) + 0.5)
+    reading = np.floor(
+        antenna.mean_rss_dbm(range_m, power_db) + rng.normal(0.0, antenna.sigma_db, range_m.shape) + 0.5
+    )
     heard = reading > antenna.threshold_dbm
     if antenna.saturation_dbm is not None:
         reading = np.minimum(reading, antenna.saturation_dbm)

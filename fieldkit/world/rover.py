@@ -44,13 +44,17 @@ class Rover:
                 left = abs(error - turn)
                 if left < 60.0:
                     braking = math.sqrt(2.0 * self.max_accel_m_s2 * distance)
-                    wanted_speed = min(self.target_speed_m_s, braking) * max(0.2, math.cos(math.radians(left)))
+                    wanted_speed = min(self.target_speed_m_s, braking) * max(
+                        0.2, math.cos(math.radians(left))
+                    )
         change = self.max_accel_m_s2 * dt_s
         self.speed_m_s += max(-2 * change, min(change, wanted_speed - self.speed_m_s))
         self.speed_m_s = max(0.0, self.speed_m_s)
         heading = math.radians(self.heading_deg)
         travelled = self.speed_m_s * dt_s
         if self.target_m is not None:
-            travelled = min(travelled, math.hypot(self.target_m[0] - self.east_m, self.target_m[1] - self.north_m))
+            travelled = min(
+                travelled, math.hypot(self.target_m[0] - self.east_m, self.target_m[1] - self.north_m)
+            )
         self.east_m += travelled * math.sin(heading)
         self.north_m += travelled * math.cos(heading)

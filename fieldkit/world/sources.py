@@ -42,7 +42,9 @@ def random_sources(
 class Transmissions:
     """The sources' packets in order of time: each source an independent Poisson process."""
 
-    def __init__(self, sources: list[TransientSource], rng: np.random.Generator, start_s: float = 0.0) -> None:
+    def __init__(
+        self, sources: list[TransientSource], rng: np.random.Generator, start_s: float = 0.0
+    ) -> None:
         self.sources = sources
         self._rng = rng
         self._next_s = [start_s + rng.exponential(1.0 / s.rate_hz) for s in sources]

@@ -34,11 +34,18 @@ FINE = 0.5
 SWEEPS = 3
 REVISE_AT = 5.0
 """Receptions at which a candidate's story is first told afresh; then at every 1.4 times as many."""
+BIRTH_ODDS = 1.5
+"""Expected number of further sources that speak for themselves at which one is given a candidate."""
 DEATH_RECEPTIONS = 0.3
 WITHDRAW = 0.75
 """A find is withdrawn when the probability of its place falls below this share of the threshold."""
 MAX_SQUARED_RESIDUAL = 2.5
 """Mean squared standardised residual above which readings do not look like what the antenna file predicts."""
+
+
+def _clutter(stored: "_Open") -> float:
+    """log intensity with which noise explains a detection: any strength within 80 dB."""
+    return float(np.log(CLUTTER_HZ) - int(stored.detection.heard.sum()) * np.log(80.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +66,12 @@ class Unresolved:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Open:
-    """A stored detection: its likelihood over the cells near it, power averaged out, scaled to a maximum of 1."""
+    """A stored detection: its likelihood over the cells near it, scaled to a maximum of 1."""
 
     detection: Detection
     box: tuple[int, int, int, int]
     like: FloatArray
+    """(known levels, cells of the box, row by row)"""
     log_scale: float
     near_m: FloatArray
     """(k, 2) where it was heard."""
@@ -86,6 +94,8 @@ class IntensityBelief:
         self.rate_prior_s = RATE_SHAPE / settings.reference_rate_hz
         self._open: dict[int, _Open] = {}
         self._unclaimed: dict[int, float] = {}
+        self._explained: dict[int, float] = {}
+        """Detection to the log of the intensity with which clutter and the candidates explain it."""
         self._next_detection = 0
         self._next_ident = 1
         self._summaries: dict[int, Summary] = {}
@@ -135,7 +145,7 @@ class IntensityBelief:
         row0, row1, column0, column1 = self.grid.box_around(heard_at, self.model.reach_m)
         east, north = self.grid.east_m[column0:column1], self.grid.north_m[row0:row1]
         points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
-        log = self.model.marginal(self.model.log_likelihood(detection, points))
+        log = self.model.log_likelihood(detection, points)[: self.model.n_known]
         scale = float(log.max())
         return _Open(detection, (row0, row1, column0, column1), np.exp(log - scale), scale, heard_at)
 
@@ -171,13 +181,11 @@ class IntensityBelief:
 
     def _log_unknown(self, stored: _Open, unknown_rate: FloatArray) -> float:
         row0, row1, column0, column1 = stored.box
-        total = float((unknown_rate[row0:row1, column0:column1].ravel() * stored.like).sum())
+        total = float((unknown_rate[row0:row1, column0:column1].ravel() * stored.like.mean(axis=0)).sum())
         return float(np.log(total + 1e-300)) + stored.log_scale
 
     def _sweep(self, sweeps: int) -> None:
         """Shares of all open detections, from the predictions of the candidates and of the unknown."""
-        if not self.candidates:
-            return
         unknown_rate = self._unknown_rate()
         logs_unknown = {k: self._log_unknown(stored, unknown_rate) for k, stored in self._open.items()}
         for sweep in range(sweeps):
@@ -186,18 +194,19 @@ class IntensityBelief:
                 near = [c for c in self.candidates if number in c.logs]
                 if not near:
                     self._unclaimed[number] = 1.0
+                    self._explained[number] = _clutter(stored)
                     continue
                 settled = any(c.share[number] > 0.999 for c in near) and sweep < sweeps - 1
                 if settled:
                     continue
-                heard = int(stored.detection.heard.sum())
-                terms = [logs_unknown[number], np.log(CLUTTER_HZ) - heard * np.log(80.0)]
+                terms = [logs_unknown[number], _clutter(stored)]
                 for candidate in near:
                     log_posterior = candidate.log_posterior()
                     others = max(0.0, candidate.receptions - candidate.share[number])
                     rate = (RATE_SHAPE + others) / (self.rate_prior_s + self._exposure_mean(candidate))
                     terms.append(float(np.log(rate)) + candidate.log_predictive(number, log_posterior))
                 shares = np.exp(np.array(terms) - logsumexp(terms))
+                self._explained[number] = float(logsumexp(terms[1:]))
                 for candidate, share in zip(near, shares[2:], strict=True):
                     candidate.set_share(number, float(share))
                 self._unclaimed[number] = float(shares[0])
@@ -216,54 +225,78 @@ class IntensityBelief:
             )
         return self._summaries[candidate.ident]
 
-    def _birth(self) -> bool:
-        """A candidate for the newest detection that nobody claims; whether there was one."""
-        orphans = [k for k, share in self._unclaimed.items() if share > 0.5]
-        if not orphans:
-            return False
-        newest = orphans[-1]
-        rate = self._residual_rate(orphans)
-        stored = self._open[newest]
-        row0, row1, column0, column1 = stored.box
-        like = stored.like.reshape(row1 - row0, column1 - column0)
-        place = rate[row0:row1, column0:column1] * like
-        rows, columns = np.nonzero(place > 1e-6 * place.max())
-        candidate = self._new_candidate(
-            (columns.min() + column0, columns.max() + column0 + 1), (rows.min() + row0, rows.max() + row0 + 1)
+    def another_source(self) -> FloatArray:
+        """(known levels, n_north, n_east) expected number of sources of the reference rate not among the candidates.
+
+        Prior times likelihood ratio: silence lowers it, detections that the candidates explain badly raise it. So
+        it covers unsearched ground, unclaimed detections, and sources that hide behind a found neighbour.
+        """
+        ratio = np.empty((self.model.n_known, *self.grid.shape))
+        stored = list(self._open.items())
+        sizes = [s.like.shape[1] for _, s in stored]
+        start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        stacked = (
+            np.concatenate([s.like * np.exp(s.log_scale - self._explained[k]) for k, s in stored], axis=1)
+            if stored
+            else np.empty((self.model.n_known, 0))
         )
-        for number, other in self._open.items():
-            if self._in_reach(candidate, other):
-                candidate.know(number, self.model.log_likelihood(other.detection, candidate.points_m))
-        candidate.set_share(newest, 1.0)
-        self._unclaimed[newest] = 0.0
+        boxes = np.array([s.box for _, s in stored], dtype=np.int64).reshape(-1, 4)
+        kernels.another_source_llr(
+            stacked, start[:-1], boxes, self.settings.reference_rate_hz, self._known_exposure_s(), ratio
+        )
+        prior = self.settings.expected_sources / self.grid.n_cells / self.model.n_known
+        return np.asarray(prior * np.exp(np.minimum(ratio, 50.0)))
+
+    def _birth(self) -> bool:
+        """A candidate where one more source explains what was heard better than none; whether there was one."""
+        expected = self.another_source()
+        prior = self.settings.expected_sources / self.grid.n_cells / self.model.n_known
+        telling = np.where(expected > prior, expected, 0.0)
+        if telling.sum() < BIRTH_ODDS:
+            return False
+        place = telling.sum(axis=0)
+        row, column = np.unravel_index(int(np.argmax(place)), place.shape)
+        level = int(np.argmax(expected[:, row, column]))
+        near = place > 1e-4 * place.max()
+        reach = int(np.ceil(self.model.reach_m / self.grid.cell_m))
+        rows = np.nonzero(near[max(0, row - reach) : row + reach + 1].any(axis=1))[0] + max(0, row - reach)
+        columns = np.nonzero(near[:, max(0, column - reach) : column + reach + 1].any(axis=0))[0] + max(
+            0, column - reach
+        )
+        candidate = self._new_candidate(
+            (int(columns.min()), int(columns.max()) + 1), (int(rows.min()), int(rows.max()) + 1)
+        )
+        rate = self.settings.reference_rate_hz
+        for number, stored in self._open.items():
+            if not self._in_reach(candidate, stored):
+                continue
+            candidate.know(number, self.model.log_likelihood(stored.detection, candidate.points_m))
+            row0, row1, column0, column1 = stored.box
+            if row0 <= row < row1 and column0 <= column < column1:
+                like = stored.like[level, (row - row0) * (column1 - column0) + column - column0]
+                ratio = rate * like * np.exp(stored.log_scale - self._explained[number])
+                candidate.set_share(number, float(ratio / (1.0 + ratio)))
+        if candidate.receptions < DEATH_RECEPTIONS:
+            return False
+        for number, share in candidate.share.items():
+            for other in self.candidates:
+                if share > 0.0 and number in other.share:
+                    other.set_share(number, other.share[number] * (1.0 - share))
+        self._summaries.clear()
         self.candidates.append(candidate)
         return True
-
-    def _residual_rate(self, orphans: list[int]) -> FloatArray:
-        """The rate map that explains the unclaimed detections, by a few EM sweeps from the unknown's rate."""
-        rate = self._unknown_rate()
-        stored = [self._open[k] for k in orphans]
-        sizes = np.array([s.like.size for s in stored])
-        start = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-        kernels.rate_sweeps(
-            np.concatenate([s.like for s in stored]),
-            start,
-            np.array([s.box for s in stored]),
-            np.array([self._unclaimed[k] for k in orphans]),
-            self._known_exposure_s().mean(axis=0),
-            self.rate_prior_s,
-            rate,
-            3,
-        )
-        return rate
 
     def _new_candidate(self, columns: tuple[int, int], rows: tuple[int, int]) -> Candidate:
         cell = self.grid.cell_m
         fine = cell * FINE
         per_cell = round(1.0 / FINE)
         margin = 1
-        east = np.arange(max(0, columns[0] - margin) * per_cell, min(self.grid.n_east, columns[1] + margin) * per_cell)
-        north = np.arange(max(0, rows[0] - margin) * per_cell, min(self.grid.n_north, rows[1] + margin) * per_cell)
+        east = np.arange(
+            max(0, columns[0] - margin) * per_cell, min(self.grid.n_east, columns[1] + margin) * per_cell
+        )
+        north = np.arange(
+            max(0, rows[0] - margin) * per_cell, min(self.grid.n_north, rows[1] + margin) * per_cell
+        )
         points = np.column_stack(
             [np.tile((east + 0.5) * fine, north.size), np.repeat((north + 0.5) * fine, east.size)]
         )
@@ -295,6 +328,7 @@ class IntensityBelief:
             if best == 0 or scores[best] < scores[0] + 1.0:
                 continue
             self._remove(candidate)
+            stories[best][0].ident = candidate.ident
             self.candidates += stories[best]
             for part in stories[best]:
                 self._know_all(part)
@@ -349,6 +383,8 @@ class IntensityBelief:
         pair = [copy.copy(blank), copy.copy(blank)]
         for part in pair:
             part.logs, part.share, part.evidence = dict(blank.logs), dict(blank.share), blank.evidence.copy()
+        pair[1].ident = self._next_ident
+        self._next_ident += 1
         for first_more, (number, whole) in zip(lean, share.items(), strict=True):
             first = 0.9 if first_more else 0.1
             pair[0].set_share(number, first * whole)
@@ -362,7 +398,10 @@ class IntensityBelief:
             for number, whole in share.items():
                 terms = np.array(
                     [
-                        np.log((RATE_SHAPE + max(0.0, c.receptions - c.share[number])) / (self.rate_prior_s + seen))
+                        np.log(
+                            (RATE_SHAPE + max(0.0, c.receptions - c.share[number]))
+                            / (self.rate_prior_s + seen)
+                        )
                         + c.log_predictive(number, log)
                         for c, log, seen in zip(pair, logs, exposure, strict=True)
                     ]
@@ -434,7 +473,7 @@ class IntensityBelief:
             oldest = next(iter(self._open))
             for candidate in self.candidates:
                 candidate.forget(oldest)
-            del self._open[oldest], self._unclaimed[oldest]
+            del self._open[oldest], self._unclaimed[oldest], self._explained[oldest]
 
     # -- what may be said --------------------------------------------------------------------------------
 
@@ -501,7 +540,8 @@ class IntensityBelief:
                     region_90=self._region_90(candidate),
                     receptions=candidate.receptions,
                     rate_hz=(RATE_SHAPE + candidate.receptions) / (self.rate_prior_s + summary.exposure_s),
-                    p_exists=1.0 - float(np.prod([1.0 - min(share, 1.0 - 1e-9) for share in candidate.share.values()])),
+                    p_exists=1.0
+                    - float(np.prod([1.0 - min(share, 1.0 - 1e-9) for share in candidate.share.values()])),
                     p_here=summary.p_here,
                     state=candidate.state,  # type: ignore[arg-type]
                     note=candidate.note,
@@ -532,7 +572,9 @@ class IntensityBelief:
     def presence(self) -> FloatArray:
         """(n_north, n_east) probability that the cell holds a source, heard or not."""
         b = self.rate_prior_s
-        unseen = (self.settings.expected_sources / self.grid.n_cells) * (b / (b + self._known_exposure_s().mean(axis=0)))
+        unseen = (self.settings.expected_sources / self.grid.n_cells) * (
+            b / (b + self._known_exposure_s().mean(axis=0))
+        )
         log_absent = np.log1p(-np.minimum(unseen, 0.999)).ravel()
         for candidate in self.candidates:
             cells, place = self._cells_of(candidate)
@@ -550,9 +592,7 @@ class IntensityBelief:
 
     def probability_left(self) -> float:
         """P(at least one source of the reference rate not found): unheard ground, and candidates not yet found."""
-        unheard = np.exp(-self.settings.reference_rate_hz * self._known_exposure_s()).mean(axis=0)
-        expected = self.settings.expected_sources * float(unheard.mean())
-        none_left = np.exp(-expected)
+        none_left = float(np.exp(-self.another_source().sum()))
         for candidate in self.candidates:
             if candidate.state != "found":
                 none_left *= 1.0 - min(1.0, candidate.receptions)
@@ -561,9 +601,8 @@ class IntensityBelief:
     # -- for planners ------------------------------------------------------------------------------------
 
     def ground_value(self) -> FloatArray:
-        """(n_north, n_east) expected number of sources of the reference rate there that were never heard."""
-        unheard = np.exp(-self.settings.reference_rate_hz * self._known_exposure_s()).mean(axis=0)
-        return unheard * (self.settings.expected_sources / self.grid.n_cells)
+        """(n_north, n_east) expected number of sources of the reference rate that are not among the candidates."""
+        return np.minimum(self.another_source().sum(axis=0), 0.5)
 
     def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
         """Candidates that are not found, each with samples of place and power from its posterior."""

@@ -82,7 +82,9 @@ def waypoints(places_m: FloatArray, start_m: FloatArray, max_speed_m_s: float) -
     return [tuple(path) for path in paths]
 
 
-def track(places_m: FloatArray, start_m: FloatArray, speed_m_s: float, step_s: float, horizon_s: float) -> FloatArray:
+def track(
+    places_m: FloatArray, start_m: FloatArray, speed_m_s: float, step_s: float, horizon_s: float
+) -> FloatArray:
     """(steps, m, 2): where robots are every `step_s` until `horizon_s` on places (legs, m, 2); they wait at the end."""
     steps = max(1, int(horizon_s / step_s))
     corners = np.concatenate([start_m[None], places_m])

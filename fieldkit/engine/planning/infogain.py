@@ -98,7 +98,9 @@ class InfoGainPlanner:
                     if gained[0] > 1e-3:
                         info[candidate.ident] = gained
                         before = information[candidate.ident]
-                        score += self._progress(candidate, before + gained) - self._progress(candidate, before)
+                        score += self._progress(candidate, before + gained) - self._progress(
+                            candidate, before
+                        )
                 if score > best_score:
                     best, best_score, best_info = option, score, info
             if best is None:  # boxed in by the others: stay
@@ -115,7 +117,9 @@ class InfoGainPlanner:
                 information[ident] = information[ident] + gained
             taken.append(best.track_m)
             self._last[team] = [tuple(place.mean(axis=0)) for place in best.places_m]
-            for robot, path in zip(team, waypoints(best.places_m, start, self.settings.max_speed_m_s), strict=True):
+            for robot, path in zip(
+                team, waypoints(best.places_m, start, self.settings.max_speed_m_s), strict=True
+            ):
                 paths[robot], purpose[robot] = path, best.purpose
         return Plan(situation.t_ns, paths, purpose)
 
@@ -164,7 +168,9 @@ class InfoGainPlanner:
         options: list[_Option] = []
 
         def add(purpose: str, corners: list[FloatArray] | FloatArray, spacing_m: float) -> None:
-            places = abreast(np.asarray(corners, dtype=float), start, spacing_m, self.grid, self.settings.fence_margin_m)
+            places = abreast(
+                np.asarray(corners, dtype=float), start, spacing_m, self.grid, self.settings.fence_margin_m
+            )
             route = track(places, start, self.settings.max_speed_m_s, STEP_S, horizon_s)
             options.append(_Option(purpose, places, route))
 
@@ -189,7 +195,11 @@ class InfoGainPlanner:
         nearest = sorted(unresolved, key=lambda u: float(np.hypot(*(u.points_m.mean(axis=0) - centre))))
         for candidate in nearest[:MAX_CANDIDATES]:
             for index in range(PATHS_PER_CANDIDATE):
-                add(f"resolve {candidate.ident}", self._around(candidate, centre, typical_m, index), spacings[0])
+                add(
+                    f"resolve {candidate.ident}",
+                    self._around(candidate, centre, typical_m, index),
+                    spacings[0],
+                )
         del model
         return options
 
@@ -203,7 +213,9 @@ class InfoGainPlanner:
 
         return pick
 
-    def _around(self, candidate: Unresolved, centre: FloatArray, typical_m: float, index: int) -> list[FloatArray]:
+    def _around(
+        self, candidate: Unresolved, centre: FloatArray, typical_m: float, index: int
+    ) -> list[FloatArray]:
         """Corners round one possible place of a candidate: the nearest first, then on round it."""
         focus = candidate.points_m[int(self._rng.integers(candidate.points_m.shape[0]))]
         if index % 3 == 0:
@@ -213,5 +225,6 @@ class InfoGainPlanner:
         bearing = math.atan2(away[0], away[1]) + self._rng.uniform(-0.5, 0.5)
         turn = math.radians(120.0 if index % 2 else 75.0) * (1 if self._rng.random() < 0.5 else -1)
         return [
-            focus + radius * np.array([math.sin(bearing + k * turn), math.cos(bearing + k * turn)]) for k in range(6)
+            focus + radius * np.array([math.sin(bearing + k * turn), math.cos(bearing + k * turn)])
+            for k in range(6)
         ]

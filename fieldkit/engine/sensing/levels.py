@@ -6,8 +6,9 @@ For each robot independently, with mean reading mu = w - 10 beta log10 d (PRWA e
 - heard at the ceiling: 1 - Phi((z - 1/2 - mu) / sigma);
 - listened, silent:     Phi((threshold + 1/2 - mu) / sigma), a robot hears iff its integer reading exceeds zeta.
 
-Radios are not ideal: a small share of packets is lost at any strength, and a small share of readings is
-anything at all. Both keep one odd reading from vetoing the truth.
+Radios are not ideal: a small share of packets is lost at any strength, and a small share of readings scatters
+several times as wide. Both keep one odd reading from vetoing the truth; the wide part still falls off with
+distance, so that a source does not claim what was heard at the other end of the field.
 
 Neither robots nor candidate places are points: a place known to s metres smears a reading at distance d by
 (10 beta / ln 10) s / sqrt(d^2 + s^2) dB, which is added to sigma; close by it is what matters most.
@@ -25,7 +26,8 @@ from fieldkit.engine import kernels
 from fieldkit.messages import Detection, FloatArray
 
 PACKET_LOSS = 0.02
-OUTLIERS = 0.01
+OUTLIERS = 0.02
+OUTLIER_WIDTH = 2.5
 OUTSIDE_DB = (4.0, 8.0, 12.0)
 """How far beyond the weakest and strongest known level the hypotheses of a wrong power set lie."""
 PRIOR_OUTSIDE = 0.04
@@ -80,7 +82,11 @@ class LevelsModel:
 
     def _reach_m(self, strongest_db: float) -> float:
         margin_db = (
-            self.antenna.power_at_1m_dbm + strongest_db - self.antenna.threshold_dbm - 0.5 + 2.9 * self.antenna.sigma_db
+            self.antenna.power_at_1m_dbm
+            + strongest_db
+            - self.antenna.threshold_dbm
+            - 0.5
+            + 2.9 * self.antenna.sigma_db
         )
         return float(10.0 ** (margin_db / self.ten_beta))
 
@@ -100,6 +106,7 @@ class LevelsModel:
             self.place_sigma_m,
             PACKET_LOSS,
             OUTLIERS,
+            OUTLIER_WIDTH,
             fixed,
         )
         varying = logsumexp(fixed[: self.n_known], axis=0) - np.log(self.n_known)
