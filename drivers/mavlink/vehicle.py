@@ -63,6 +63,7 @@ class Vehicle:
         self._gps_sigma_m: float | None = None
         self._gps_good = True
         self._time = TimeBase()
+        self._pose_t_ns = 0
         self._boot_ms: int | None = None
         self._heading_deg = 0.0
         self._speakers: dict[Peer, tuple[float, float, int]] = {}
@@ -105,10 +106,8 @@ class Vehicle:
             self._say(now_s, f"no heartbeat for {LOST_S:g} s: link lost")
             if self.owner == "us":
                 self.owner = "lost"  # its own failsafe decides meanwhile; going on needs a new take-over
-        if self.doubles and all(
-            now_s - self._first_seen.get(peer, -math.inf) > 10.0 for peer in self.doubles
-        ):
-            self.doubles.clear()
+        if self.doubles:
+            self._forget_speakers(now_s)
         return self._report(now_s, now_ns) if self.peer is not None else []
 
     def _heartbeat(self, message: Message, peer: Peer, now_s: float) -> None:
@@ -163,7 +162,9 @@ class Vehicle:
 
     def _position(self, message: Message, now_s: float, now_ns: int) -> list[Happening]:
         self._boot(message.time_boot_ms)
-        t_ns = self._time.heard(message.time_boot_ms * 1_000_000, now_ns)
+        # A better estimate of the offset may set the clock back a little; poses stay in order.
+        t_ns = max(self._time.heard(message.time_boot_ms * 1_000_000, now_ns), self._pose_t_ns + 1)
+        self._pose_t_ns = t_ns
         if (message.lat, message.lon) == NO_POSITION or not self._gps_good:
             return []
         self.position_s = now_s
@@ -217,7 +218,7 @@ class Vehicle:
 
     @property
     def mode(self) -> VehicleMode:
-        """The mode as the mission may read it: `other` whenever we do not own the vehicle but did, or it is driven."""
+        """The mode as the mission may read it: `other` where somebody else has, or has taken, the vehicle."""
         actual = self.actual_mode
         if self.owner == "lost" or (self.owner == "nobody" and actual == "guided"):
             return "other"

@@ -1,0 +1,177 @@
+"""Benches for the conformance suites: each driver on its emulator, and each in-process stand-in.
+
+To add a driver, write a bench and put it into the table at the end.
+"""
+
+import asyncio
+import contextlib
+import socket
+import tempfile
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import numpy as np
+
+from drivers.emulators.rover import RoverAutopilot
+from drivers.emulators.wires import PluggedModule, PtyWire, TcpWire, Wire
+from drivers.emulators.xbee import Module
+from drivers.handover import Handover
+from drivers.mavlink.fleet import open_link
+from drivers.xbee.receiver import open_receiver
+from fieldkit.clock import Clock, RealClock, ScaledClock
+from fieldkit.geo import FieldFrame
+from fieldkit.messages import ReceiverState, RssReading
+from fieldkit.ports import Surroundings
+from fieldkit.testing import ReceiverBench, VehicleLinkBench
+from fieldkit.world.rover import Rover
+
+FRAME = FieldFrame(47.3977, 8.5456, 400.0)
+
+
+def around(clock: Clock | None = None) -> Surroundings:
+    return Surroundings(clock or RealClock(), FRAME)
+
+
+def xbee_on(
+    make_wire: Callable[[Path], Wire],
+) -> Callable[[], contextlib.AbstractAsyncContextManager[ReceiverBench]]:
+    @asynccontextmanager
+    async def bench() -> AsyncIterator[ReceiverBench]:
+        folder = tempfile.TemporaryDirectory()
+        radio = PluggedModule(Module(), make_wire(Path(folder.name)))
+        await radio.plug()
+
+        async def transmit(count: int) -> None:
+            for number in range(count):
+                assert radio.hear(-60.0 - number, 0x0013A20041000001, b"beacon")
+
+        async def unplug() -> None:
+            radio.unplug()
+
+        try:
+            receiver = open_receiver("ada", {"port": radio.wire.port}, around())
+            yield ReceiverBench(receiver, transmit, unplug, radio.plug)
+        finally:
+            radio.unplug()
+            folder.cleanup()
+
+    return bench
+
+
+class FakeReceiver:
+    """The smallest receiver there is: a queue."""
+
+    def __init__(self, robot: str) -> None:
+        self.robot = robot
+
+    async def __aenter__(self) -> "FakeReceiver":
+        self.queue: Handover[RssReading | ReceiverState] = Handover()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.queue.close()
+
+    async def readings(self) -> AsyncIterator[RssReading | ReceiverState]:
+        async for item in self.queue.items():
+            yield item
+
+
+@asynccontextmanager
+async def fake_receiver() -> AsyncIterator[ReceiverBench]:
+    receiver, clock = FakeReceiver("ada"), RealClock()
+
+    async def transmit(count: int) -> None:
+        for _ in range(count):
+            receiver.queue.put(RssReading(clock.now_ns(), "ada", -70.0))
+
+    async def unplug() -> None:
+        receiver.queue.put(ReceiverState(clock.now_ns(), "ada", False))
+
+    async def replug() -> None:
+        receiver.queue.put(ReceiverState(clock.now_ns(), "ada", True))
+
+    yield ReceiverBench(receiver, transmit, unplug, replug)
+
+
+def free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class RoverOnUdp(asyncio.DatagramProtocol):
+    """An emulated rover on a socket of its own, stepped by a task, in the test's loop."""
+
+    def __init__(self, autopilot: RoverAutopilot, clock: ScaledClock) -> None:
+        self.autopilot = autopilot
+        self.clock = clock
+        self.silenced = False
+        self.drop_in: Callable[[bytes], bool] = lambda _: False
+        """Says which incoming datagrams are lost."""
+        self.got: list[bytes] = []
+        """Datagrams that arrived, lost ones too."""
+
+    def t_s(self) -> float:
+        return (self.clock.now_ns() - self.clock.start_ns) * 1e-9
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = transport
+
+    def datagram_received(self, data: bytes, address: object) -> None:
+        self.got.append(data)
+        if not self.silenced and not self.drop_in(data):
+            self.send(self.autopilot.receive(data, self.t_s()))
+
+    def error_received(self, error: Exception) -> None:
+        pass
+
+    def send(self, data: bytes) -> None:
+        if data and not self.silenced:
+            self.transport.sendto(data)  # type: ignore[attr-defined]
+
+    async def live(self) -> None:
+        while True:
+            self.send(self.autopilot.update(self.t_s()))
+            await self.clock.sleep(0.05)
+
+
+@asynccontextmanager
+async def rovers_on_udp(
+    starts_m: dict[int, tuple[float, float]], clock: ScaledClock, port: int, **options: float
+) -> AsyncIterator[list[RoverOnUdp]]:
+    """Emulated rovers by system id, sending to a local port."""
+    loop, rovers, tasks = asyncio.get_running_loop(), [], []
+    for system_id, (east_m, north_m) in starts_m.items():
+        body = Rover(east_m, north_m, max_speed_m_s=1.0)
+        autopilot = RoverAutopilot(system_id, body, FRAME, np.random.default_rng(system_id), **options)
+        rover = RoverOnUdp(autopilot, clock)
+        await loop.create_datagram_endpoint(lambda rover=rover: rover, remote_addr=("127.0.0.1", port))
+        rovers.append(rover)
+        tasks.append(asyncio.create_task(rover.live()))
+    try:
+        yield rovers
+    finally:
+        for task, rover in zip(tasks, rovers, strict=True):
+            task.cancel()
+            rover.transport.close()
+        await asyncio.wait(tasks)
+
+
+@asynccontextmanager
+async def mavlink_on_rovers() -> AsyncIterator[VehicleLinkBench]:
+    clock, port = ScaledClock(10.0), free_udp_port()
+    starts_m = {3: (1.0, 1.0), 4: (5.0, 1.0)}
+    async with rovers_on_udp(starts_m, clock, port, gcs_failsafe_s=20.0):
+        robots = {"ada": {"system_id": 3}, "bob": {"system_id": 4}}
+        link = open_link(f"udpin:127.0.0.1:{port}", robots, around(clock))
+        yield VehicleLinkBench(link, clock, {"ada": starts_m[3], "bob": starts_m[4]})
+
+
+RECEIVERS = {
+    "xbee-pty": xbee_on(lambda folder: PtyWire(folder / "radio")),
+    "xbee-tcp": xbee_on(lambda _: TcpWire()),
+    "fake": fake_receiver,
+}
+VEHICLE_LINKS = {"mavlink": mavlink_on_rovers}
+POSITION_SOURCES: dict[str, object] = {}

@@ -1,0 +1,21 @@
+"""One suite per port, over every driver on its emulator and every stand-in."""
+
+import pytest
+from benches import POSITION_SOURCES, RECEIVERS, VEHICLE_LINKS
+
+from fieldkit.testing import check_position_source, check_receiver, check_vehicle_link
+
+
+@pytest.mark.parametrize("name", RECEIVERS)
+async def test_receiver_conforms(name):
+    await check_receiver(RECEIVERS[name])
+
+
+@pytest.mark.parametrize("name", VEHICLE_LINKS)
+async def test_vehicle_link_conforms(name):
+    await check_vehicle_link(VEHICLE_LINKS[name])
+
+
+@pytest.mark.parametrize("name", POSITION_SOURCES)
+async def test_position_source_conforms(name):
+    await check_position_source(POSITION_SOURCES[name])
