@@ -241,7 +241,7 @@ class Kernel:
         if robot.pose is None or robot.held:
             return False
         vehicle = robot.vehicle
-        return vehicle is None or (vehicle.link_up and vehicle.mode == "guided")
+        return vehicle is None or (vehicle.link_up and vehicle.mode in ("guided", "hold"))
 
     def _teams(self) -> tuple[tuple[str, ...], ...]:
         teams = (tuple(r for r in team if self._steerable(r)) for team in self.settings.engine.teams)
@@ -269,7 +269,7 @@ class Kernel:
         return plan
 
     def _follow(self, now_ns: int) -> list[Command]:
-        """Send each team to its next way-points once all its robots have arrived, or it has taken too long."""
+        """Send a team to its next way-points once all its robots have arrived, or it has taken too long."""
         commands: list[Command] = []
         for team, errand in list(self._errands.items()):
             if any(not self._steerable(robot) for robot in team):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldkit.antenna.model import Antenna
-from fieldkit.messages import EndMission, Event, GoTo, Hold, Pose, Return, RssReading, Tick, VehicleState
+from fieldkit.messages import EndMission, Event, FloatArray, GoTo, Hold, Pose, Return, RssReading, Tick, VehicleState
 from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.rover import Rover
 from fieldkit.world.sources import TransientSource, Transmissions
@@ -65,6 +65,7 @@ def simulate(settings: KernelSettings, truth: Truth, seed: int, *, step_s: float
     inbox: list[Event] = [VehicleState(0, robot, "guided", True) for robot in robots]
     end_reason = ""
     t_s = 0.0
+    before = {robot: (rover.east_m, rover.north_m) for robot, rover in rovers.items()}
     while not end_reason:
         for robot, rover in rovers.items():
             noise = rng_pose.normal(0.0, truth.pose_sigma_m, 2) if truth.pose_sigma_m > 0 else np.zeros(2)
@@ -81,7 +82,14 @@ def simulate(settings: KernelSettings, truth: Truth, seed: int, *, step_s: float
                 )
             )
         for at_s, source in traffic.until(t_s):
-            inbox += _heard(at_s, source, rovers, clock_s, truth, rng_channel)
+            share = 1.0 - (t_s - at_s) / step_s
+            place = np.array(
+                [
+                    (e + share * (rovers[r].east_m - e), n + share * (rovers[r].north_m - n))
+                    for r, (e, n) in before.items()
+                ]
+            )
+            inbox += _heard(at_s, source, place, clock_s, truth, rng_channel)
         inbox.append(Tick(round(t_s * 1e9)))
         for event in inbox:
             outcome = kernel.step(event)
@@ -96,12 +104,13 @@ def simulate(settings: KernelSettings, truth: Truth, seed: int, *, step_s: float
             if outcome.detections:
                 _cover(kernel, truth, t_s, covered_at)
         inbox = []
+        before = {robot: (rover.east_m, rover.north_m) for robot, rover in rovers.items()}
         for rover in rovers.values():
             rover.step(step_s)
         t_s += step_s
-        if truth.sources and len(covered_at) == len(truth.sources) and settings.sources_expected is None:
-            if not settings.stop_probability_left:
-                end_reason = "every source is found"
+        open_ended = settings.sources_expected is None and settings.stop_probability_left is None
+        if open_ended and truth.sources and len(covered_at) == len(truth.sources):
+            end_reason = "every source is found"
     done = len(covered_at) == len(truth.sources)
     return Result(
         kernel,
@@ -115,12 +124,12 @@ def simulate(settings: KernelSettings, truth: Truth, seed: int, *, step_s: float
 def _heard(
     at_s: float,
     source: TransientSource,
-    rovers: dict[str, Rover],
+    place: FloatArray,
     clock_s: dict[str, float],
     truth: Truth,
     rng: np.random.Generator,
 ) -> list[Event]:
-    place = np.array([[r.east_m, r.north_m] for r in rovers.values()])
+    """What the radios at `place` (m, 2) heard, in the order of `clock_s`."""
     distance = np.hypot(*(place - (source.east_m, source.north_m)).T)
     rss = sample_rss_dbm(truth.antenna, distance, source.power_db, rng)
     if truth.packet_loss > 0.0:
@@ -133,7 +142,7 @@ def _heard(
             float(value),
             saturated=ceiling is not None and value >= ceiling,
         )
-        for robot, value in zip(rovers, rss, strict=True)
+        for robot, value in zip(clock_s, rss, strict=True)
         if not np.isnan(value)
     ]
 

@@ -1,0 +1,293 @@
+"""mission.toml: read, checked at this edge, and turned into what kernel, safety and rigs are given."""
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pydantic
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from fieldkit import plugins
+from fieldkit.antenna.file import AntennaFile, read_antenna
+from fieldkit.engine.grid import Grid
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.errors import ConfigError
+from fieldkit.geo import FieldFrame
+from mission.kernel import KernelSettings
+from mission.safety import SafetySettings
+
+SCHEMA = 1
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class FieldTable(_Table):
+    """The search field: a rectangle whose south-west corner is the origin."""
+
+    origin_lat_deg: float = Field(ge=-90, le=90)
+    origin_lon_deg: float = Field(ge=-180, le=180)
+    origin_alt_m: float = 0.0
+    size_east_m: float = Field(gt=0, le=100_000)
+    size_north_m: float = Field(gt=0, le=100_000)
+    cell_m: float = Field(gt=0)
+
+    @model_validator(mode="after")
+    def _not_too_many_cells(self) -> "FieldTable":
+        cells = self.size_east_m / self.cell_m * self.size_north_m / self.cell_m
+        if cells > 4_000_000:
+            raise ValueError(f"cell_m: {cells:.0f} cells are more than 4,000,000; take larger cells")
+        return self
+
+
+class AntennaTable(_Table):
+    """Where the calibration is."""
+
+    file: str
+    allow_refused: bool = False
+
+
+class SourcesTable(_Table):
+    """What is known of the transmitters beforehand."""
+
+    power_levels_db: tuple[float, ...] = Field(default=(0.0,), min_length=1)
+    rate_hz: float = Field(default=0.05, gt=0)
+    expected: float = Field(default=4.0, gt=0)
+
+
+class EngineTable(_Table):
+    """Which belief and planner, and their common settings."""
+
+    belief: str = "intensity"
+    planner: str = "infogain"
+    found_probability: float = Field(default=0.9, gt=0, lt=1)
+    min_receptions: float = Field(default=3.0, gt=0)
+    planning_period_s: float = Field(default=30.0, gt=0)
+    pose_sigma_m: float = Field(default=0.05, ge=0)
+    prior_rule: Literal["literal", "uniform", "dirichlet", "em"] = "em"
+    sensing: Literal["levels", "pairwise"] = "levels"
+
+
+class AssociationTable(_Table):
+    """Which receptions are one transmission."""
+
+    window_s: float = Field(default=0.1, gt=0)
+    lateness_s: float = Field(default=1.0, gt=0)
+    max_pose_gap_s: float = Field(default=1.0, gt=0)
+
+
+class EndTable(_Table):
+    """When the mission is over; whichever comes first."""
+
+    max_duration_s: float = Field(default=3600.0, gt=0)
+    sources_found: int | None = Field(default=None, ge=1)
+    probability_left: float | None = Field(default=None, gt=0, lt=1)
+
+
+class SafetyTable(_Table):
+    """Limits no command passes."""
+
+    fence_margin_m: float = Field(default=0.2, ge=0)
+    max_speed_m_s: float = Field(default=0.4, gt=0)
+    max_leg_m: float = Field(default=1_000.0, gt=0)
+    pose_timeout_s: float = Field(default=2.0, gt=0)
+    min_separation_m: float = Field(default=0.5, ge=0)
+
+
+class ReceiverTable(BaseModel):
+    """A radio: the driver's name and that driver's own options."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    driver: str
+
+
+class VehicleTable(BaseModel):
+    """A vehicle: the driver's name, its link's address, that driver's own options."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    driver: str
+    address: str
+
+
+class RobotTable(_Table):
+    """One robot."""
+
+    name: str = Field(min_length=1)
+    receiver: ReceiverTable
+    vehicle: VehicleTable
+
+
+class TeamTable(_Table):
+    """Robots that move abreast: two, or one."""
+
+    robots: tuple[str, ...] = Field(min_length=1, max_length=2)
+
+
+class MissionFile(_Table):
+    """The whole file."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    name: str = "mission"
+    seed: int = 0
+    field: FieldTable
+    antenna: AntennaTable
+    sources: SourcesTable = SourcesTable()
+    engine: EngineTable = EngineTable()
+    association: AssociationTable = AssociationTable()
+    end: EndTable = EndTable()
+    safety: SafetyTable = SafetyTable()
+    team: tuple[TeamTable, ...] = Field(min_length=1)
+    robot: tuple[RobotTable, ...] = Field(min_length=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """A mission that has been checked: everything its rig, kernel and safety need."""
+
+    file: MissionFile
+    text: str
+    """The mission.toml as written."""
+    antenna_text: str
+    antenna: AntennaFile
+    frame: FieldFrame
+    kernel: KernelSettings
+    safety: SafetySettings
+    where: str
+    """What to call it in messages: its path."""
+
+
+def read_mission(path: Path) -> Mission:
+    """Read and check a mission file and the antenna file it names, relative to itself. Raises `ConfigError`."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; 'fieldkit new {path}' writes one to start from") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    file = parse_mission(text, str(path))
+    antenna_path = path.parent / file.antenna.file
+    antenna = read_antenna(antenna_path, allow_refused=file.antenna.allow_refused)
+    return assemble(file, text, antenna, antenna_path.read_text(encoding="utf-8"), str(path))
+
+
+def parse_mission(text: str, where: str) -> MissionFile:
+    """Check the text of a mission file. Raises `ConfigError` with file, key path, what was expected and what was there."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{where}: not valid TOML: {error}") from error
+    schema = raw.get("schema")
+    if isinstance(schema, int) and schema > SCHEMA:
+        raise ConfigError(f"{where}: schema: {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit")
+    try:
+        file = MissionFile.model_validate(raw)
+    except pydantic.ValidationError as error:
+        raise ConfigError("\n".join(_explain(where, problem) for problem in error.errors())) from None
+    _check_robots(file, where)
+    _check_names(file, where)
+    return file
+
+
+def _explain(where: str, problem: Any) -> str:
+    key = ".".join(str(part) for part in problem["loc"]).replace("schema_", "schema")
+    message = problem["msg"].removeprefix("Value error, ")
+    if problem["type"] == "missing":
+        return f"{where}: {key}: expected a value, got nothing"
+    if problem["type"] == "extra_forbidden":
+        return f"{where}: {key}: no such key; is it misspelt, or in the wrong table?"
+    return f"{where}: {key}: {message[0].lower() + message[1:]}, got {problem['input']!r}"
+
+
+def _check_robots(file: MissionFile, where: str) -> None:
+    names = [robot.name for robot in file.robot]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"{where}: robot: the name {name!r} is given to {names.count(name)} robots; give each its own")
+    teamed = [name for team in file.team for name in team.robots]
+    for name in teamed:
+        if name not in names:
+            raise ConfigError(f"{where}: team.robots: there is no robot {name!r}; robots are: {', '.join(names)}")
+        if teamed.count(name) > 1:
+            raise ConfigError(f"{where}: team.robots: robot {name!r} is in {teamed.count(name)} teams; expected one")
+    for name in names:
+        if name not in teamed:
+            raise ConfigError(f"{where}: team: robot {name!r} is in no team; add [[team]] robots = [{name!r}]")
+    seen: dict[tuple[str, str, Any], str] = {}
+    ports: dict[str, str] = {}
+    for robot in file.robot:
+        extra = robot.vehicle.model_extra or {}
+        if (system_id := extra.get("system_id")) is not None:
+            key = (robot.vehicle.driver, robot.vehicle.address, system_id)
+            if key in seen:
+                raise ConfigError(
+                    f"{where}: robot {robot.name!r}: vehicle.system_id: {system_id} is robot {seen[key]!r}'s already on "
+                    f"{robot.vehicle.address}; every vehicle on a link needs an id of its own (SYSID_THISMAV)"
+                )
+            seen[key] = robot.name
+        port = (robot.receiver.model_extra or {}).get("port")
+        if port is not None:
+            if str(port) in ports:
+                raise ConfigError(
+                    f"{where}: robot {robot.name!r}: receiver.port: {port} is robot {ports[str(port)]!r}'s already"
+                )
+            ports[str(port)] = robot.name
+
+
+def _check_names(file: MissionFile, where: str) -> None:
+    """Names of drivers, belief and planner must exist; nothing is imported yet."""
+    wanted = [("fieldkit.beliefs", "engine.belief", file.engine.belief), ("fieldkit.planners", "engine.planner", file.engine.planner)]
+    for robot in file.robot:
+        wanted.append(("fieldkit.receivers", f"robot {robot.name!r}: receiver.driver", robot.receiver.driver))
+        wanted.append(("fieldkit.vehicles", f"robot {robot.name!r}: vehicle.driver", robot.vehicle.driver))
+    for group, key, name in wanted:
+        known = plugins.names(group)
+        if name not in known:
+            raise ConfigError(f"{where}: {key}: expected one of {', '.join(known)}, got {name!r}")
+
+
+def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: str, where: str) -> Mission:
+    """Settings for every part, from a checked file and its antenna. Raises `ConfigError`."""
+    field = file.field
+    engine = EngineSettings(
+        grid=Grid(field.size_east_m, field.size_north_m, field.cell_m),
+        antenna=antenna.antenna,
+        teams=tuple(team.robots for team in file.team),
+        power_levels_db=file.sources.power_levels_db,
+        found_probability=file.engine.found_probability,
+        min_receptions=file.engine.min_receptions,
+        reference_rate_hz=file.sources.rate_hz,
+        expected_sources=file.sources.expected,
+        planning_period_s=file.engine.planning_period_s,
+        max_speed_m_s=file.safety.max_speed_m_s,
+        min_separation_m=file.safety.min_separation_m,
+        fence_margin_m=file.safety.fence_margin_m,
+        pose_sigma_m=file.engine.pose_sigma_m,
+        seed=file.seed,
+        prior_rule=file.engine.prior_rule,
+        sensing=file.engine.sensing,
+    )
+    kernel = KernelSettings(
+        engine,
+        belief=file.engine.belief,
+        planner=file.engine.planner,
+        association_window_s=file.association.window_s,
+        association_lateness_s=file.association.lateness_s,
+        max_pose_gap_s=file.association.max_pose_gap_s,
+        max_duration_s=file.end.max_duration_s,
+        sources_expected=file.end.sources_found,
+        stop_probability_left=file.end.probability_left,
+    )
+    safety = SafetySettings(
+        robots=engine.robots,
+        size_east_m=field.size_east_m,
+        size_north_m=field.size_north_m,
+        fence_margin_m=file.safety.fence_margin_m,
+        max_speed_m_s=file.safety.max_speed_m_s,
+        max_leg_m=file.safety.max_leg_m,
+        pose_timeout_s=file.safety.pose_timeout_s,
+        min_separation_m=file.safety.min_separation_m,
+    )
+    frame = FieldFrame(field.origin_lat_deg, field.origin_lon_deg, field.origin_alt_m)
+    return Mission(file, text, antenna_text, antenna, frame, kernel, safety, where)

@@ -1,0 +1,99 @@
+"""The commented mission.toml that `fieldkit new` writes and the demo runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateRobot:
+    """One robot's lines."""
+
+    name: str
+    port: str
+    address: str
+    system_id: int
+
+
+EXAMPLE_ROBOTS = tuple(
+    TemplateRobot(f"r{number}", f"/dev/ttyUSB{number - 1}", "udpin:0.0.0.0:14550", number) for number in range(1, 5)
+)
+
+
+def mission_text(
+    *,
+    name: str = "my-field",
+    seed: int = 0,
+    origin_deg: tuple[float, float] = (30.618500, -96.336500),
+    size_m: float = 25.0,
+    cell_m: float = 0.5,
+    antenna: str = "antenna.toml",
+    power_levels_db: Sequence[float] = (-8.0, -6.0, -4.0, -2.0, 0.0),
+    rate_hz: float = 0.05,
+    expected: float = 4.0,
+    planning_period_s: float = 30.0,
+    window_s: float = 0.1,
+    max_duration_s: float = 3600.0,
+    sources_found: int | None = None,
+    fence_margin_m: float = 0.5,
+    min_separation_m: float = 1.0,
+    robots: Sequence[TemplateRobot] = EXAMPLE_ROBOTS,
+) -> str:
+    """The text of a mission file. Robots are teamed two by two."""
+    teams = "\n".join(
+        f"[[team]]\nrobots = [{', '.join(repr(robot.name).replace(chr(39), chr(34)) for robot in robots[i : i + 2])}]\n"
+        for i in range(0, len(robots), 2)
+    )
+    each = "\n".join(
+        f'[[robot]]\nname = "{robot.name}"\n'
+        f'receiver = {{ driver = "xbee", port = "{robot.port}" }}\n'
+        f'vehicle = {{ driver = "mavlink", address = "{robot.address}", system_id = {robot.system_id} }}\n'
+        for robot in robots
+    )
+    found = f"sources_found = {sources_found}" if sources_found else "# sources_found = 3"
+    left = "# probability_left = 0.05" if sources_found else "probability_left = 0.05"
+    levels = ", ".join(f"{level:.1f}" for level in power_levels_db)
+    return f"""\
+# A fieldkit mission. Check it with 'fieldkit check', run it with 'fieldkit run'.
+schema = 1
+name = "{name}"
+seed = {seed}                     # of the planner's random choices; the same seed replays the same
+
+[field]                      # a rectangle; its south-west corner is the origin of all metres
+origin_lat_deg = {origin_deg[0]:.6f}
+origin_lon_deg = {origin_deg[1]:.6f}
+size_east_m = {size_m:.1f}
+size_north_m = {size_m:.1f}
+cell_m = {cell_m}                 # about a fifth of the shortest range is a good cell
+
+[antenna]
+file = "{antenna}"        # relative to this file; written by 'fieldkit calibrate fit'
+
+[sources]                    # what is known of the transmitters beforehand
+power_levels_db = [{levels}]  # relative to the transmitter the calibration used
+rate_hz = {rate_hz}               # how often a typical one transmits
+expected = {expected:.1f}               # roughly how many there may be; not a limit
+
+[engine]
+belief = "intensity"
+planner = "infogain"
+found_probability = 0.9      # of being within one cell of the estimate
+min_receptions = 4
+planning_period_s = {planning_period_s:.1f}
+pose_sigma_m = 0.05          # of each coordinate of the robots' positions
+
+[association]
+window_s = {window_s}               # receptions this near in time are one transmission; 0.25 without synchronised clocks
+
+[end]                        # whichever comes first
+max_duration_s = {max_duration_s:.1f}
+{found}            # where the number is known
+{left}      # or: the probability that one is still unfound
+
+[safety]                     # no command passes these
+fence_margin_m = {fence_margin_m}         # way-points stay this far inside the field
+max_speed_m_s = 0.4
+pose_timeout_s = 2.0
+min_separation_m = {min_separation_m}       # between way-points of different robots
+
+{teams}
+{each}"""
