@@ -1,0 +1,268 @@
+"""Readings as arrays: what was heard where, which packets were missed, what belongs to one place.
+
+A place is what the standard errors are clustered by: readings taken there share its shadowing. It is the
+`place` column (with `transmitter` where there is one), else a cell of positions, else the distance.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.table import Table, read_table
+from fieldkit.errors import DataError
+from fieldkit.messages import FloatArray
+
+IntArray = NDArray[np.int64]
+_TX_RX = ("tx_east_m", "tx_north_m", "rx_east_m", "rx_north_m")
+_LAT_LON = ("tx_lat_deg", "tx_lon_deg", "rx_lat_deg", "rx_lon_deg")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """n packets: `rss_dbm` (n,) with nan where the packet was sent and not received."""
+
+    name: str
+    distance_m: FloatArray
+    rss_dbm: FloatArray
+    place: IntArray
+    """(n,) index into `places`."""
+    places: tuple[str, ...]
+    heading_deg: FloatArray | None = None
+    """(n,) direction to the other radio as the antenna sees it, clockwise from its front; None: not known."""
+    receiver: IntArray | None = None
+    receivers: tuple[str, ...] = ()
+    order: FloatArray | None = None
+    """(n,) time in seconds, or the sample number: only for plots and for finding runs."""
+    tx_m: FloatArray | None = None
+    """(n, 2) east, north; None where only distances were given."""
+    rx_m: FloatArray | None = None
+    warnings: tuple[str, ...] = ()
+    sha256: str = ""
+    alternatives: dict[str, FloatArray] = field(default_factory=dict)
+    """What may be wrong with the coordinates, in words, to the distances (n,) there would be without it."""
+
+    @property
+    def missed(self) -> NDArray[np.bool_]:
+        """(n,) True where a packet was sent and not received."""
+        return np.isnan(self.rss_dbm)
+
+    @property
+    def n_places(self) -> int:
+        return len(np.unique(self.place))
+
+    def keep(self, rows: NDArray[np.bool_]) -> "Readings":
+        """Only some rows, (n,) True where kept."""
+
+        def cut(array: NDArray | None) -> NDArray | None:
+            return None if array is None else array[rows]
+
+        return replace(
+            self,
+            distance_m=self.distance_m[rows],
+            rss_dbm=self.rss_dbm[rows],
+            place=self.place[rows],
+            heading_deg=cut(self.heading_deg),
+            receiver=cut(self.receiver),
+            order=cut(self.order),
+            tx_m=cut(self.tx_m),
+            rx_m=cut(self.rx_m),
+            alternatives={name: distance[rows] for name, distance in self.alternatives.items()},
+        )
+
+
+def from_arrays(
+    distance_m: FloatArray,
+    rss_dbm: FloatArray,
+    place: NDArray | None = None,
+    *,
+    name: str = "arrays",
+    **more: object,
+) -> Readings:
+    """Readings from arrays (n,); without `place` each distance is one."""
+    keys = np.asarray(distance_m if place is None else place)
+    names, index = np.unique(keys, return_inverse=True)
+    return Readings(
+        name,
+        np.asarray(distance_m, dtype=float),
+        np.asarray(rss_dbm, dtype=float),
+        index.reshape(-1),
+        tuple(map(str, names)),
+        **more,  # type: ignore[arg-type]
+    )
+
+
+def read_readings(
+    path: Path,
+    *,
+    names: Mapping[str, str] | None = None,
+    where: Mapping[str, str] | None = None,
+    place_cell_m: float | None = None,
+    negate: bool = False,
+) -> Readings:
+    """Read and check a CSV. Raises `DataError` naming file, line and remedy."""
+    from calibration import sanity
+
+    table = read_table(path, names=names, where=where)
+    if "rss_dbm" not in table.columns:
+        raise DataError(
+            f"{path}: no column of readings; name one rss_dbm, or map yours: --column rss_dbm=NAME. "
+            f"There are {', '.join(table.others)}"
+        )
+    if not len(table):
+        raise DataError(f"{path}: has a header and no rows")
+    rss = table.numbers("rss_dbm", empty=float("nan"))
+    rss = -rss if negate else rss
+    sanity.check_levels(table, rss)
+    distance, tx, rx, notes = _geometry(table)
+    place, places = _places(table, distance, tx, rx, place_cell_m)
+    receiver, receivers = _codes(table.columns["receiver"]) if "receiver" in table.columns else (None, ())
+    heading = table.numbers("heading_deg") if "heading_deg" in table.columns else None
+    readings = Readings(
+        name=path.name,
+        distance_m=distance,
+        rss_dbm=rss,
+        place=place,
+        places=places,
+        heading_deg=heading,
+        receiver=receiver,
+        receivers=receivers,
+        order=_order(table),
+        tx_m=tx,
+        rx_m=rx,
+        warnings=tuple(notes),
+        alternatives=_alternatives(table, tx, rx),
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+    )
+    readings, more = sanity.check_rows(table, readings)
+    return replace(readings, warnings=(*readings.warnings, *more))
+
+
+def _geometry(table: Table) -> tuple[FloatArray, FloatArray | None, FloatArray | None, list[str]]:
+    """Distances (n,), and positions (n, 2) where the file gives them."""
+    have = table.columns
+    tx = rx = None
+    climb = np.zeros(len(table))
+    if "tx_up_m" in have and "rx_up_m" in have:
+        climb = table.numbers("rx_up_m") - table.numbers("tx_up_m")
+    if all(name in have for name in _TX_RX):
+        east0, north0, east1, north1 = (table.numbers(name) for name in _TX_RX)
+        tx, rx = np.column_stack([east0, north0]), np.column_stack([east1, north1])
+    elif all(name in have for name in _LAT_LON):
+        tx, rx = _local(table)
+    between = None if tx is None or rx is None else np.hypot(np.hypot(*(rx - tx).T), climb)
+    if "distance_m" not in have and between is None:
+        raise DataError(
+            f"{table.path}: no distances; give distance_m, or {', '.join(_TX_RX)}, or {', '.join(_LAT_LON)}"
+        )
+    notes: list[str] = []
+    if "distance_m" in have:
+        distance = table.numbers("distance_m")
+        if between is not None:
+            far_off = np.abs(distance - between) > 0.05 + 0.05 * distance
+            if far_off.any():
+                row = int(np.argmax(far_off))
+                notes.append(
+                    f"{far_off.sum()} rows have a distance_m that their positions contradict, first in "
+                    f"line {table.lines[row]} ({distance[row]:g} m against {between[row]:.3g} m); "
+                    "distance_m was used"
+                )
+    else:
+        assert between is not None
+        distance = between
+    if np.any(distance <= 0.0):
+        row = int(np.argmax(distance <= 0.0))
+        raise table.error(row, f"the distance is {distance[row]:g} m; it must be above zero (metres)")
+    return distance, tx, rx, notes
+
+
+def _local(table: Table) -> tuple[FloatArray, FloatArray]:
+    """Latitude and longitude as metres east and north of the first receiver."""
+    values = {name: table.numbers(name) for name in _LAT_LON}
+    for name in ("tx_lat_deg", "rx_lat_deg"):
+        wrong = np.abs(values[name]) > 90.0
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise table.error(row, f"{name} is {values[name][row]:g}: latitude and longitude look swapped")
+    return _metres(values)
+
+
+def _metres(values: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    import pymap3d
+
+    lat0, lon0 = values["rx_lat_deg"][0], values["rx_lon_deg"][0]
+
+    def metres(which: str) -> FloatArray:
+        lat, lon = values[f"{which}_lat_deg"], values[f"{which}_lon_deg"]
+        east, north, _ = pymap3d.geodetic2enu(lat, lon, 0.0, lat0, lon0, 0.0)
+        return np.column_stack([east, north])
+
+    return metres("tx"), metres("rx")
+
+
+def _alternatives(table: Table, tx: FloatArray | None, rx: FloatArray | None) -> dict[str, FloatArray]:
+    """Distances if coordinates were exchanged by mistake: for finding out whether they were."""
+    if tx is None or rx is None:
+        return {}
+    if "rx_lat_deg" in table.columns:
+        lat, lon, other = "lat_deg", "lon_deg", "latitude and longitude"
+        value = {name: table.numbers(name) for name in _LAT_LON}
+        swapped = {}
+        for whose, ends in (("transmitter", ("tx",)), ("receiver", ("rx",)), ("both ends", ("tx", "rx"))):
+            got = dict(value)
+            for end in ends:
+                got[f"{end}_{lat}"], got[f"{end}_{lon}"] = value[f"{end}_{lon}"], value[f"{end}_{lat}"]
+            if all(np.all(np.abs(got[f"{end}_{lat}"]) <= 90.0) for end in ends):
+                swapped[f"{other} of the {whose} are exchanged"] = np.hypot(*np.subtract(*_metres(got)).T)
+        return swapped
+    return {
+        "east and north of the receiver are exchanged": np.hypot(*(rx[:, ::-1] - tx).T),
+        "east and north of the transmitter are exchanged": np.hypot(*(rx - tx[:, ::-1]).T),
+    }
+
+
+def _places(
+    table: Table, distance: FloatArray, tx: FloatArray | None, rx: FloatArray | None, cell_m: float | None
+) -> tuple[IntArray, tuple[str, ...]]:
+    have = table.columns
+    if "place" in have and cell_m is None:
+        keys = have["place"]
+        if "transmitter" in have:
+            keys = [f"{place} {tx_name}" for place, tx_name in zip(keys, have["transmitter"], strict=True)]
+        return _codes(keys)
+    if tx is not None and rx is not None:
+        cell = cell_m if cell_m is not None else (10.0 if "rx_lat_deg" in have else 0.01)
+        cells = np.floor(np.column_stack([tx, rx]) / cell + 0.5).astype(np.int64)
+        return _codes([" ".join(map(str, row)) for row in cells.tolist()])
+    return _codes([f"{d:g} m" for d in distance.tolist()])
+
+
+def _codes(texts: list[str]) -> tuple[IntArray, tuple[str, ...]]:
+    """(n,) index and the distinct texts in the order of their first row."""
+    index: dict[str, int] = {}
+    codes = [index.setdefault(text, len(index)) for text in texts]
+    return np.array(codes, dtype=np.int64), tuple(index)
+
+
+def _order(table: Table) -> FloatArray | None:
+    for name in ("time", "sample"):
+        if name not in table.columns:
+            continue
+        texts = table.columns[name]
+        try:
+            values = np.array([seconds(text) for text in texts])
+        except ValueError:
+            continue
+        return values * 1e-9 if np.nanmax(np.abs(values)) > 1e15 else values
+    return None
+
+
+def seconds(text: str) -> float:
+    """A number, or hh:mm:ss as seconds of the day."""
+    parts = text.split(":")
+    if len(parts) == 3:
+        return float(parts[0]) * 3600.0 + float(parts[1]) * 60.0 + float(parts[2])
+    return float(text)

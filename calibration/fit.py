@@ -1,0 +1,373 @@
+"""Fit received power against distance: w - 10 beta log10(d), by interval-censored maximum likelihood.
+
+`fit` is a pure function of readings and options. What its result is good for is verdict.py's business.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from calibration import likelihood
+from calibration.dataset import Readings
+from calibration.likelihood import Rows
+from calibration.threshold import Threshold, estimate_threshold
+from fieldkit.antenna.model import Antenna
+from fieldkit.errors import CalibrationRefused
+from fieldkit.messages import FloatArray
+
+Missed = Literal["auto", "counted", "none", "uncounted"]
+#: Packets this far above the weakest reading may still get lost where the threshold jitters: a first guess.
+RECENSOR_DB = 3.5
+#: Beyond this many standard deviations of the threshold's jitter every packet is received (99.4 %).
+SAFE_JITTERS = 2.5
+MAX_ROUNDS = 12
+#: Farther from its mean, in sigma, a reading is another transmitter or a fault (normal: 1 in 2 million).
+OUTLIER_SIGMA = 5.0
+PARAMETERS = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to fit. None: find out from the readings."""
+
+    missed: Missed = "auto"
+    """counted: every packet sent is a row; none: all were received; uncounted: weak ones may be absent."""
+    saturation_dbm: float | None = None
+    min_distance_m: float = 0.0
+    receiver_offsets: bool = False
+    """One more parameter for each receiver after the first: how much more it reports than the first."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitResult:
+    """What the readings say. Intervals and errors are clustered by place unless said otherwise."""
+
+    antenna: Antenna
+    converged: bool
+    theta: FloatArray
+    """power at 1 m, exponent, [pattern, receiver offsets...], ln sigma."""
+    covariance: FloatArray
+    """Of `theta`, clustered by place."""
+    naive_covariance: FloatArray
+    """Of `theta`, as if all readings were independent: far too small."""
+    quantile: float
+    """Student's t for 95 % with one degree of freedom for each place beyond the parameters."""
+    intervals_95: dict[str, tuple[float, float]]
+    threshold: Threshold
+    missed: Missed
+    """As decided: never auto."""
+    stated: bool
+    """Whether the user said so, rather than the readings."""
+    sigma_time_db: float | None
+    """Deviation within a place; None where no three places are free of censoring."""
+    sigma_place_db: float | None
+    """Deviation from place to place that is left: averaging at one spot does not reduce it."""
+    nll: float
+    n_readings: int
+    n_missed: int
+    n_saturated: int
+    n_places: int
+    n_outliers: int
+    n_lost_near: int
+    """Packets missed where nothing weak enough can explain it: collisions; left out."""
+    readings: Readings = field(repr=False)
+    """What was fitted, outliers taken out."""
+    rows: Rows = field(repr=False)
+    censor_dbm: float | None = None
+    """At or below this level readings were counted as missed; None where nothing is censored."""
+    receiver_offsets_db: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Receiver to its offset from the first one, and the 95 % half-width."""
+
+    def errors(self) -> dict[str, float]:
+        """Standard errors, clustered."""
+        root = np.sqrt(np.diag(self.covariance))
+        return {**dict(zip(PARAMETERS[:2], root, strict=False)), "sigma_db": root[-1] * self.antenna.sigma_db}
+
+    def mean_dbm(self, distance_m: FloatArray) -> FloatArray:
+        """Mean level at a distance from the calibrated transmitter, for the first receiver."""
+        return self.theta[0] - 10.0 * self.theta[1] * np.log10(distance_m)
+
+
+def fit(readings: Readings, options: Options | None = None) -> FitResult:
+    """Fit the log-distance model. Raises `CalibrationRefused` where there is nothing to fit."""
+    options = options or Options()
+    if options.min_distance_m > 0.0:
+        readings = readings.keep(readings.distance_m >= options.min_distance_m)
+    heard = ~readings.missed
+    if heard.sum() < 10 or len(np.unique(readings.distance_m[heard])) < 2:
+        raise CalibrationRefused(
+            f"{readings.name}: {heard.sum()} readings at "
+            f"{len(np.unique(readings.distance_m[heard]))} distances "
+            "cannot carry a fit: at least 10 readings at 5 places are needed, the farthest 3 "
+            "times the nearest"
+        )
+    if len(np.unique(readings.rss_dbm[heard])) < 2:
+        raise CalibrationRefused(
+            f"{readings.name}: all {heard.sum()} readings are {readings.rss_dbm[heard][0]:g} dBm: "
+            "the receiver "
+            "repeats one value, or is saturated; see that new packets arrive, and go farther away"
+        )
+    missed = decide_missed(readings, options.missed)
+    return _fit(readings, missed, options)
+
+
+def decide_missed(readings: Readings, wish: Missed) -> Missed:
+    """Whether missed packets are in the file. `auto` takes a single empty reading as proof that they are."""
+    if wish != "auto":
+        return wish
+    return "counted" if readings.missed.any() else "none"
+
+
+def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
+    n_outliers = n_lost = 0
+    saturation, offsets = options.saturation_dbm, options.receiver_offsets
+    level = readings.rss_dbm[~readings.missed]
+    censor = _first_censor_level(level, missed)
+    theta: FloatArray | None = None
+    for _ in range(MAX_ROUNDS):
+        rows = make_rows(readings, missed, censor, saturation, offsets)
+        theta, converged = likelihood.maximise(rows, _start(rows) if theta is None else theta)
+        if saturation is None and _piles_up(theta, readings):
+            saturation = float(level.max())
+            continue
+        odd, lost = _odd(theta, readings, censor, offsets)
+        # More than a few are no outliers but another model; the verdict sees them in the residuals.
+        if (odd | lost).any() and odd.sum() <= 0.02 * len(level) + 1:
+            n_outliers, n_lost = n_outliers + int(odd.sum()), n_lost + int(lost.sum())
+            readings = readings.keep(~(odd | lost))
+            continue
+        mean = design(readings, offsets) @ theta[:-1]
+        sigma = float(np.exp(theta[-1]))
+        threshold = estimate_threshold(mean, sigma, readings, missed)
+        # A threshold that jitters loses packets well above it: count that whole region as hidden, fit again.
+        wanted = (
+            censor
+            if not threshold.jitter_db
+            else float(np.floor(threshold.dbm + SAFE_JITTERS * threshold.jitter_db))
+        )
+        if wanted == censor:
+            break
+        censor = wanted
+    assert theta is not None
+    covariance, naive, quantile = clustered(theta, rows)
+    result = FitResult(
+        antenna=Antenna(float(theta[1]), float(theta[0]), sigma, threshold.dbm, saturation),
+        converged=converged and bool(np.all(np.isfinite(covariance))),
+        theta=theta,
+        covariance=covariance,
+        naive_covariance=naive,
+        quantile=quantile,
+        intervals_95={},
+        threshold=threshold,
+        missed=missed,
+        stated=options.missed != "auto",
+        sigma_time_db=None,
+        sigma_place_db=None,
+        nll=likelihood.nll(theta, rows),
+        n_readings=int((~readings.missed).sum()),
+        n_missed=int(readings.missed.sum()) + n_lost,
+        n_saturated=0 if saturation is None else int((readings.rss_dbm >= saturation).sum()),
+        n_places=readings.n_places,
+        n_outliers=n_outliers,
+        n_lost_near=n_lost,
+        readings=readings,
+        rows=rows,
+        censor_dbm=censor,
+    )
+    time_db, place_db = split_sigma(readings, sigma, saturation)
+    by_receiver = _offsets(result) if options.receiver_offsets else {}
+    return replace(
+        result,
+        intervals_95=_intervals(result),
+        sigma_time_db=time_db,
+        sigma_place_db=place_db,
+        receiver_offsets_db=by_receiver,
+    )
+
+
+def design(readings: Readings, receiver_offsets: bool = False) -> FloatArray:
+    """(n, p): columns for the power at 1 m, the exponent, and each receiver after the first."""
+    columns = [np.ones(len(readings.rss_dbm)), -10.0 * np.log10(readings.distance_m)]
+    if receiver_offsets and readings.receiver is not None:
+        columns += [(readings.receiver == i).astype(float) for i in range(1, len(readings.receivers))]
+    return np.column_stack(columns)
+
+
+def make_rows(
+    readings: Readings,
+    missed: Missed,
+    censor_dbm: float | None,
+    saturation_dbm: float | None,
+    receiver_offsets: bool = False,
+    more: FloatArray | None = None,
+) -> Rows:
+    """Readings as distinct intervals. `censor_dbm`: at or below it packets may not have been received.
+
+    `more` (n, k) are further columns of the design, for patterns and tests of structure.
+    """
+    z = readings.rss_dbm
+    low, high = z - 0.5, z + 0.5
+    if saturation_dbm is not None:
+        high = np.where(z >= saturation_dbm, np.inf, high)
+        low = np.where(z >= saturation_dbm, saturation_dbm - 0.5, low)
+    seen_above = None
+    if missed == "counted" and censor_dbm is not None:
+        hidden = np.isnan(z) | (z <= censor_dbm)
+        low, high = np.where(hidden, -np.inf, low), np.where(hidden, censor_dbm + 0.5, high)
+        keep = np.ones(len(z), dtype=bool)
+    else:
+        keep = ~np.isnan(z)
+    if missed == "uncounted" and censor_dbm is not None:
+        keep &= z > censor_dbm
+        seen_above = censor_dbm + 0.5
+    matrix = design(readings, receiver_offsets)
+    receiver = readings.receiver if receiver_offsets and readings.receiver is not None else np.zeros(len(z))
+    keys = np.column_stack([readings.place, readings.distance_m, receiver, low, high])
+    if more is not None:
+        matrix, keys = np.column_stack([matrix, more]), np.column_stack([keys, more])
+    keys = keys[keep]
+    first, count = _distinct(keys)
+    chosen = np.flatnonzero(keep)[first]
+    return Rows(matrix[chosen], low[chosen], high[chosen], count, readings.place[chosen], 0.0, seen_above)
+
+
+def _distinct(keys: Any) -> tuple[np.ndarray, FloatArray]:
+    """First index and count of each distinct row of (n, k); np.unique(axis=0) is far slower."""
+    order = np.lexsort(keys.T)
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
+    starts = np.flatnonzero(new)
+    return order[starts], np.diff(np.append(starts, len(order))).astype(float)
+
+
+def clustered(theta: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray, float]:
+    """Sandwich covariance by place, the naive one, and Student's t for 95 %.
+
+    Small-sample factor G/(G - p) and G - p degrees of freedom: with few places the plain sandwich is too sure
+    (Cameron and Miller, A practitioner's guide to cluster-robust inference, J. Human Resources 50, 2015).
+    """
+    from scipy.special import stdtrit
+
+    bread = np.asarray(np.linalg.pinv(likelihood.hessian(theta, rows)), dtype=float)
+    scores = likelihood.place_scores(theta, rows)
+    groups, p = scores.shape
+    spare = max(1, groups - p)
+    covariance: FloatArray = bread @ (scores.T @ scores) @ bread * groups / spare
+    return covariance, bread, float(stdtrit(spare, 0.975))
+
+
+def split_sigma(
+    readings: Readings, sigma_db: float, saturation_dbm: float | None
+) -> tuple[float | None, float | None]:
+    """Deviation within places and between them, from places where nothing was censored."""
+    within, freedom, places = 0.0, 0, 0
+    order = np.argsort(readings.place, kind="stable")
+    bounds = np.flatnonzero(np.diff(readings.place[order])) + 1
+    for rows in np.split(order, bounds):
+        z = readings.rss_dbm[rows]
+        hidden = np.isnan(z) | (False if saturation_dbm is None else z >= saturation_dbm)
+        same_distance = np.ptp(readings.distance_m[rows]) < 1e-9
+        if len(z) < 3 or hidden.any() or not same_distance:
+            continue
+        within, freedom, places = (
+            within + float(((z - z.mean()) ** 2).sum()),
+            freedom + len(z) - 1,
+            places + 1,
+        )
+    if places < 3:
+        return None, None
+    # Rounding to integers adds a variance of 1/12.
+    time2 = max(0.0, within / freedom - 1.0 / 12.0)
+    return float(np.sqrt(time2)), float(np.sqrt(max(0.0, sigma_db**2 - time2)))
+
+
+def _first_censor_level(level: FloatArray, missed: Missed) -> float | None:
+    if missed == "none":
+        return None
+    return (
+        float(np.floor(level.min() - 1.0 + RECENSOR_DB)) if missed == "counted" else float(level.min() - 1.0)
+    )
+
+
+def _start(rows: Rows) -> FloatArray:
+    """Least squares on what was received; crude, but the likelihood is well-behaved from there."""
+    heard = np.isfinite(rows.low_dbm) & np.isfinite(rows.high_dbm)
+    level = np.where(heard, 0.5 * (rows.low_dbm + rows.high_dbm), 0.0)
+    level = np.where(np.isinf(rows.high_dbm), rows.low_dbm, level)
+    use = np.isfinite(rows.low_dbm)
+    root = np.sqrt(rows.count[use])
+    x, *_ = np.linalg.lstsq(
+        rows.design[use] * root[:, None], (level - rows.offset_dbm)[use] * root, rcond=None
+    )
+    residual = level[use] - rows.design[use] @ x
+    spread = np.sqrt(np.average(residual**2, weights=rows.count[use]))
+    return np.append(x, np.log(np.clip(spread, 0.5, 20.0)))
+
+
+def _piles_up(theta: FloatArray, readings: Readings) -> bool:
+    """Whether many more readings stand at the strongest level than its neighbours' mean can explain."""
+    z = readings.rss_dbm[~readings.missed]
+    top = z.max()
+    mean = design(readings.keep(~readings.missed))[:, :2] @ theta[:2]
+    sigma = float(np.exp(theta[-1]))
+    from scipy.special import ndtr
+
+    at_top = float((ndtr((top + 0.5 - mean) / sigma) - ndtr((top - 0.5 - mean) / sigma)).sum())
+    above = float(ndtr((mean - top - 0.5) / sigma).sum())
+    places = len(np.unique(readings.place[~readings.missed][z == top]))
+    return bool((z == top).sum() > 2.0 * at_top + 5.0 and above > 5.0 and places >= 2)
+
+
+def _odd(
+    theta: FloatArray, readings: Readings, censor_dbm: float | None, receiver_offsets: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) readings too far from their mean, and packets missed where all should be heard."""
+    mean = design(readings, receiver_offsets) @ theta[:-1]
+    sigma = float(np.exp(theta[-1]))
+    with np.errstate(invalid="ignore"):
+        odd = np.abs(readings.rss_dbm - mean) > OUTLIER_SIGMA * sigma + 0.5
+    level = -np.inf if censor_dbm is None else censor_dbm
+    lost = readings.missed & (mean - level > OUTLIER_SIGMA * sigma)
+    return odd, lost
+
+
+def _intervals(result: FitResult) -> dict[str, tuple[float, float]]:
+    half = result.quantile * np.sqrt(np.diag(result.covariance))
+    low, high = result.theta - half, result.theta + half
+    return {
+        "power_at_1m_dbm": (float(low[0]), float(high[0])),
+        "path_loss_exponent": (float(low[1]), float(high[1])),
+        "sigma_db": (float(np.exp(low[-1])), float(np.exp(high[-1]))),
+        "threshold_dbm": result.threshold.interval_95,
+    }
+
+
+def _offsets(result: FitResult) -> dict[str, tuple[float, float]]:
+    half = result.quantile * np.sqrt(np.diag(result.covariance))
+    names = result.readings.receivers[1:]
+    return {name: (float(result.theta[2 + i]), float(half[2 + i])) for i, name in enumerate(names)}
+
+
+def as_dict(result: FitResult) -> dict[str, Any]:
+    """The result in plain values, for `--json` and the antenna file."""
+    return {
+        "path_loss_exponent": result.antenna.path_loss_exponent,
+        "power_at_1m_dbm": result.antenna.power_at_1m_dbm,
+        "sigma_db": result.antenna.sigma_db,
+        "threshold_dbm": result.antenna.threshold_dbm,
+        "saturation_dbm": result.antenna.saturation_dbm,
+        "intervals_95": {name: list(pair) for name, pair in result.intervals_95.items()},
+        "sigma_time_db": result.sigma_time_db,
+        "sigma_place_db": result.sigma_place_db,
+        "threshold_jitter_db": result.threshold.jitter_db,
+        "missed": result.missed,
+        "converged": result.converged,
+        "n_readings": result.n_readings,
+        "n_missed": result.n_missed,
+        "n_saturated": result.n_saturated,
+        "n_places": result.n_places,
+        "n_outliers": result.n_outliers,
+        "n_lost_near": result.n_lost_near,
+        "receiver_offsets_db": {name: value for name, (value, _) in result.receiver_offsets_db.items()},
+    }

@@ -1,0 +1,89 @@
+"""A fit and its verdict as an antenna file and as plain values."""
+
+from typing import Any
+
+import numpy as np
+
+from calibration.fit import FitResult, as_dict
+from calibration.verdict import Judgement
+from fieldkit.antenna.file import AntennaFile
+
+_NAMES = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
+
+
+def antenna_file(result: FitResult, judgement: Judgement, radio: str = "") -> AntennaFile:
+    """What a mission reads."""
+    heard = result.readings.distance_m[~result.readings.missed]
+    data: dict[str, Any] = {
+        "file": result.readings.name,
+        "sha256": result.readings.sha256,
+        "n_readings": result.n_readings,
+        "n_missed": result.n_missed,
+        "n_places": result.n_places,
+        "min_range_m": float(heard.min()),
+        "max_range_m": float(heard.max()),
+        "missed": result.missed,
+        "threshold_jitter_db": result.threshold.jitter_db,
+    }
+    for name in ("sigma_time_db", "sigma_place_db"):
+        if getattr(result, name) is not None:
+            data[name] = getattr(result, name)
+    if result.receiver_offsets_db:
+        data["receiver_offsets_db"] = {name: value for name, (value, _) in result.receiver_offsets_db.items()}
+    return AntennaFile(
+        antenna=result.antenna,
+        verdict=judgement.state,
+        reasons=judgement.reasons,
+        intervals_95=result.intervals_95,
+        covariance={"names": list(_NAMES), "matrix": covariance(result).tolist()},
+        data=data,
+        radio={"setting": radio} if radio else {},
+    )
+
+
+def covariance(result: FitResult) -> np.ndarray:
+    """(3, 3) of power, exponent and sigma itself, clustered by place."""
+    pick = [0, 1, len(result.theta) - 1]
+    by = np.array([1.0, 1.0, result.antenna.sigma_db])
+    return result.covariance[np.ix_(pick, pick)] * np.outer(by, by)
+
+
+def plain(result: FitResult, judgement: Judgement) -> dict[str, Any]:
+    """For `--json`."""
+    return {
+        "verdict": judgement.state,
+        "refusals": list(judgement.refusals),
+        "warnings": list(judgement.warnings),
+        **as_dict(result),
+    }
+
+
+def words(result: FitResult, judgement: Judgement) -> str:
+    """For people: a line for each parameter, then the verdict and why."""
+    low_high = {name: f"{low:.2f} to {high:.2f}" for name, (low, high) in result.intervals_95.items()}
+    a = result.antenna
+    lines = [
+        f"path_loss_exponent  {a.path_loss_exponent:8.2f}      95 %: {low_high['path_loss_exponent']}",
+        f"power_at_1m_dbm     {a.power_at_1m_dbm:8.2f} dBm  95 %: {low_high['power_at_1m_dbm']}",
+        f"sigma_db            {a.sigma_db:8.2f} dB   95 %: {low_high['sigma_db']}",
+        f"threshold_dbm       {a.threshold_dbm:8.2f} dBm  95 %: {low_high['threshold_dbm']}",
+    ]
+    if a.saturation_dbm is not None:
+        lines.append(f"saturation_dbm      {a.saturation_dbm:8.2f} dBm")
+    if result.sigma_time_db is not None and result.sigma_place_db is not None:
+        lines.append(
+            f"of sigma: {result.sigma_time_db:.1f} dB at one place over time, "
+            f"{result.sigma_place_db:.1f} dB "
+            "from place to place (more readings at one place do not reduce it)"
+        )
+    for name, (value, half) in result.receiver_offsets_db.items():
+        lines.append(
+            f"receiver {name}: {value:+.1f} dB (± {half:.1f}) against {result.readings.receivers[0]}"
+        )
+    lines.append(
+        f"from {result.n_readings} readings and {result.n_missed} missed packets at {result.n_places} places"
+    )
+    lines.append(f"verdict: {judgement.state}")
+    lines += [f"  refused: {text}" for text in judgement.refusals]
+    lines += [f"  warning: {text}" for text in judgement.warnings]
+    return "\n".join(lines)

@@ -1,0 +1,106 @@
+"""Pictures of a fit: readings against distance with the band, residuals against whatever is known."""
+
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration import diagnose
+from calibration.fit import FitResult
+from fieldkit.messages import FloatArray
+
+BAND_SIGMA = 1.96
+_MOST_POINTS = 20_000
+
+
+def fit_png(result: FitResult) -> bytes:
+    """Readings against distance, the fitted mean with its 95 % band, threshold and saturation."""
+    figure, axes = _figure(7.0, 4.5)
+    distance, level, count = _counted(result)
+    axes.scatter(
+        distance,
+        level,
+        s=6.0 + 3.0 * np.sqrt(count),
+        color="#33658a",
+        alpha=0.6,
+        linewidths=0,
+        label="readings",
+    )
+    r = result.readings
+    line = np.geomspace(r.distance_m.min(), r.distance_m.max(), 200)
+    mean, band = result.mean_dbm(line), BAND_SIGMA * result.antenna.sigma_db
+    axes.plot(line, mean, color="#d1495b", label=f"fit, exponent {result.antenna.path_loss_exponent:.2f}")
+    axes.fill_between(line, mean - band, mean + band, color="#d1495b", alpha=0.12, label="95 % of readings")
+    if r.missed.any():
+        low = result.antenna.threshold_dbm
+        axes.axhline(low, color="grey", linestyle="--", linewidth=1, label=f"threshold {low:.0f} dBm")
+        spread = np.full(int(r.missed.sum()), low - 2.0)
+        axes.scatter(r.distance_m[r.missed], spread, marker="|", color="grey", label="missed")
+    if result.antenna.saturation_dbm is not None:
+        axes.axhline(
+            result.antenna.saturation_dbm, color="grey", linestyle=":", linewidth=1, label="saturation"
+        )
+    axes.set(xscale="log", xlabel="distance (m)", ylabel="reading (dBm)", title=r.name)
+    axes.legend(fontsize="small")
+    return _png(figure)
+
+
+def residual_pngs(result: FitResult) -> dict[str, bytes]:
+    """Residuals against distance, place, and heading and time where they are known. Title to PNG."""
+    r = result.readings
+    axes_of: dict[str, tuple[FloatArray, str]] = {
+        "distance": (r.distance_m, "distance (m)"),
+        "place": (r.place.astype(float), "place, in the order of the file"),
+    }
+    if r.heading_deg is not None:
+        axes_of["heading"] = (r.heading_deg, "heading (deg)")
+    if r.order is not None:
+        axes_of["time"] = (r.order - np.nanmin(r.order), "time (s) or packet number")
+    residual = diagnose.residuals_db(result)
+    pictures = {}
+    for name, (x, label) in axes_of.items():
+        figure, axes = _figure(7.0, 2.6)
+        shown = np.flatnonzero(~r.missed)
+        shown = shown[:: max(1, len(shown) // _MOST_POINTS)]
+        axes.scatter(x[shown], residual[shown], s=5, color="#33658a", alpha=0.4, linewidths=0)
+        axes.axhline(0.0, color="#d1495b", linewidth=1)
+        for sign in (-1, 1):
+            axes.axhline(
+                sign * BAND_SIGMA * result.antenna.sigma_db, color="#d1495b", linewidth=0.7, linestyle=":"
+            )
+        axes.set(xscale="log" if name == "distance" else "linear", xlabel=label, ylabel="residual (dB)")
+        pictures[name] = _png(figure)
+    return pictures
+
+
+def save_plot(result: FitResult, path: Path) -> None:
+    """Write `fit_png` to a file."""
+    from fieldkit.files import write_whole
+
+    write_whole(path, fit_png(result))
+
+
+def _counted(result: FitResult) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Distinct (distance, reading) with how often: a million readings are still a small picture."""
+    r = result.readings
+    pairs = np.column_stack([r.distance_m, r.rss_dbm])[~r.missed]
+    distinct, count = np.unique(pairs, axis=0, return_counts=True)
+    step = max(1, len(distinct) // _MOST_POINTS)
+    return distinct[::step, 0], distinct[::step, 1], count[::step].astype(float)
+
+
+def _figure(width: float, height: float) -> tuple[Any, Any]:
+    # The object interface: pyplot would start a window system.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot()
+
+
+def _png(figure: Any) -> bytes:
+    stream = BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()
