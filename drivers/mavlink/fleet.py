@@ -243,6 +243,7 @@ class MavlinkLink:
                     "switched on, is its system id right, does it send to this address?"
                 )
             self._refuse_double(vehicle)
+            self.beat()  # its failsafe watches for our heartbeat only from the first one on
             if vehicle.firmware is None:
                 raise VehicleRefused(f"{robot}: neither ArduRover, ArduCopter nor PX4: cannot steer it")
             for number, rate_hz in RATES_HZ.items():

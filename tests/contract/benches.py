@@ -94,6 +94,15 @@ async def fake_receiver() -> AsyncIterator[ReceiverBench]:
     yield ReceiverBench(receiver, transmit, unplug, replug)
 
 
+async def until(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
+    """Wait until `condition` holds; `AssertionError` if it does not within `timeout_s` of wall time."""
+    for _ in range(int(timeout_s / 0.005)):
+        if condition():
+            return
+        await asyncio.sleep(0.005)
+    raise AssertionError(f"did not happen within {timeout_s:g} s")
+
+
 def free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))

@@ -1,0 +1,99 @@
+"""How fast the XBee driver takes readings: an emulated module in a process of its own, on a pty or TCP."""
+
+import asyncio
+import multiprocessing
+import statistics
+import time
+from multiprocessing.connection import Connection
+from typing import Any
+
+from drivers.emulators.wires import PluggedModule, make_wire
+from drivers.emulators.xbee import Module
+from drivers.xbee.receiver import open_receiver
+from fieldkit.clock import RealClock, wall_s
+from fieldkit.geo import FieldFrame
+from fieldkit.messages import RssReading
+from fieldkit.ports import Surroundings
+
+SENDER = 0x0013A20041000000
+
+
+def xbee_throughput(rate_hz: float = 2000.0, duration_s: float = 10.0, senders: int = 1000) -> dict[str, Any]:
+    """Readings taken at a steady rate from `senders` distinct senders.
+
+    Gives sent, received, lost, in_order, readings_per_s, and stamp_delay_ms (p50, p99): reception stamp minus
+    the moment the frame was put on the wire, both on this machine's clock.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    child = context.Process(target=_emulate, args=(theirs, rate_hz, duration_s, senders), daemon=True)
+    child.start()
+    try:
+        return asyncio.run(_measure(ours, ours.recv()))
+    finally:
+        ours.close()
+        child.join(5.0)
+
+
+async def _measure(connection: Connection, port: str) -> dict[str, Any]:
+    receiver = open_receiver("bench", {"port": port}, Surroundings(RealClock(), FieldFrame(0.0, 0.0)))
+    readings: list[RssReading] = []
+    async with receiver:
+
+        async def collect() -> None:
+            async for item in receiver.readings():
+                if isinstance(item, RssReading):
+                    readings.append(item)
+
+        task = asyncio.create_task(collect())
+        connection.send("go")
+        began_s = wall_s()
+        sent_ns, refused = await asyncio.to_thread(connection.recv)
+        took_s = wall_s() - began_s
+        for _ in range(40):
+            if len(readings) >= len(sent_ns):
+                break
+            await asyncio.sleep(0.05)
+    await task
+    return _figures(readings, sent_ns, refused, took_s)
+
+
+def _figures(readings: list[RssReading], sent_ns: list[int], refused: int, took_s: float) -> dict[str, Any]:
+    stamps = [reading.t_ns for reading in readings]
+    delays_ms = [0.0]
+    if len(stamps) == len(sent_ns) > 100:
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        delays_ms = [(t_ns - s_ns - offset_ns) * 1e-6 for t_ns, s_ns in zip(stamps, sent_ns, strict=True)]
+    cuts = statistics.quantiles(delays_ms, n=100) if len(delays_ms) > 1 else [0.0] * 99
+    return {
+        "sent": len(sent_ns),
+        "received": len(readings),
+        "lost": len(sent_ns) - len(readings),
+        "refused_by_pty": refused,
+        "in_order": stamps == sorted(stamps),
+        "readings_per_s": round(len(readings) / took_s, 1),
+        "stamp_delay_ms": {"p50": round(cuts[49], 3), "p99": round(cuts[98], 3)},
+    }
+
+
+def _emulate(connection: Connection, rate_hz: float, duration_s: float, senders: int) -> None:
+    asyncio.run(_send(connection, rate_hz, duration_s, senders))
+
+
+async def _send(connection: Connection, rate_hz: float, duration_s: float, senders: int) -> None:
+    radio = PluggedModule(Module(), make_wire())
+    await radio.plug()
+    connection.send(radio.wire.port)
+    await asyncio.to_thread(connection.recv)
+    sent_ns: list[int] = []
+    began_s = time.monotonic()
+    total = round(rate_hz * duration_s)
+    while len(sent_ns) < total:
+        due = min(total, int((time.monotonic() - began_s) * rate_hz) + 1)
+        for number in range(len(sent_ns), due):
+            sent_ns.append(time.monotonic_ns())
+            payload = number.to_bytes(4, "big") + b"beacon"
+            radio.hear(-45.0 - number % 50, SENDER + number % senders, payload)
+        await asyncio.sleep(0.0005)
+    connection.send((sent_ns, radio.lost_writes))
+    await asyncio.sleep(3.0)

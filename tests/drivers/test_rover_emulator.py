@@ -1,0 +1,183 @@
+"""The emulated rover against what was measured on ArduRover 4.7 in simulation."""
+
+import numpy as np
+import pytest
+from benches import FRAME
+
+from drivers.emulators.rover import GUIDED, HOLD, POSITION_ONLY, RTL, RoverAutopilot
+from drivers.mavlink.codec import Packer, Parser, mavlink
+from fieldkit.world.rover import Rover
+
+ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
+
+
+class Bench:
+    def __init__(self, **options):
+        body = Rover(0.0, 0.0, max_speed_m_s=1.0)
+        self.rover = RoverAutopilot(1, body, FRAME, np.random.default_rng(1), **options)
+        self.packer, self.parser, self.t_s = Packer(255, 190), Parser(), 0.0
+
+    def tell(self, message):
+        return self.parser.parse(self.rover.receive(self.packer.pack(message), self.t_s))
+
+    def run(self, duration_s):
+        heard = []
+        for _ in range(int(duration_s * 10)):
+            self.t_s += 0.1
+            heard += self.parser.parse(self.rover.update(self.t_s))
+        return heard
+
+    def ask(self, command, *params, target=1):
+        params = [*params, *([0] * (7 - len(params)))]
+        heard = self.tell(mavlink.MAVLink_command_long_message(target, 1, command, 0, *params))
+        return next(m.result for m in heard if m.get_type() == "COMMAND_ACK")
+
+    def reposition(self, east_m, north_m, flags=1, xy=None, speed=-1.0):
+        lat, lon, _ = FRAME.to_geodetic(east_m, north_m)
+        x, y = xy or (round(lat * 1e7), round(lon * 1e7))
+        message = mavlink.MAVLink_command_int_message(
+            1, 1, 6, 192, 0, 0, speed, flags, 0, float("nan"), x, y, 0
+        )
+        return next(m.result for m in self.tell(message) if m.get_type() == "COMMAND_ACK")
+
+    def target(self, lat, lon, mask=POSITION_ONLY):
+        numbers = [0.0] * 9
+        return self.tell(
+            mavlink.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, mask, lat, lon, *numbers)
+        )
+
+    def guided(self):
+        self.ask(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+        assert self.ask(mavlink.MAV_CMD_DO_SET_MODE, 1, GUIDED) == ACCEPTED
+        return self
+
+
+def at(bench):
+    return bench.rover.body.east_m, bench.rover.body.north_m
+
+
+def test_drives_to_a_reposition_and_echoes_it():
+    bench = Bench().guided()
+    bench.ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 87, 1e6)
+    assert bench.reposition(2.0, 3.0) == ACCEPTED
+    heard = bench.run(20.0)
+    assert at(bench) == pytest.approx((2.0, 3.0), abs=0.1)
+    echo = [m for m in heard if m.get_type() == "POSITION_TARGET_GLOBAL_INT"][-1]
+    lat, lon, _ = FRAME.to_geodetic(2.0, 3.0)
+    assert (echo.lat_int, echo.lon_int) == (round(lat * 1e7), round(lon * 1e7))
+    assert (echo.coordinate_frame, echo.type_mask) == (0, 0xFDF8)
+
+
+def test_reposition_outside_guided_needs_the_flag():
+    bench = Bench()
+    bench.ask(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    assert bench.reposition(2.0, 3.0, flags=0) == DENIED
+    assert bench.reposition(2.0, 3.0, flags=1) == ACCEPTED
+    assert bench.rover.mode == GUIDED
+
+
+def test_reposition_to_0_0_is_denied_and_as_command_long_unsupported():
+    bench = Bench().guided()
+    assert bench.reposition(0, 0, xy=(0, 0)) == DENIED
+    assert bench.ask(mavlink.MAV_CMD_DO_REPOSITION, -1, 1, 0, 0, 47.0, 8.0) == UNSUPPORTED
+
+
+def test_a_position_target_outside_guided_is_dropped_without_a_word():
+    bench = Bench()
+    bench.ask(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    assert bench.target(473978000, 85457000) == []
+    bench.run(5.0)
+    assert at(bench) == (0.0, 0.0)
+
+
+def test_a_position_target_of_0_0_is_taken():
+    bench = Bench().guided()
+    bench.target(0, 0)
+    bench.run(3.0)
+    assert at(bench) != (0.0, 0.0)
+
+
+def test_a_position_target_with_acceleration_is_refused_in_chunked_text():
+    heard = Bench().guided().target(473978000, 85457000, mask=0)
+    assert "".join(m.text for m in heard) == "Ignoring SET_POSITION_TARGET_GLOBAL_INT; set ACC_IGNORE in mask"
+
+
+def test_an_unknown_mode_fails_and_auto_without_mission_says_why():
+    bench = Bench()
+    assert bench.ask(mavlink.MAV_CMD_DO_SET_MODE, 1, 99) == FAILED
+    heard = bench.tell(mavlink.MAVLink_command_long_message(1, 1, 176, 0, 1, 10, 0, 0, 0, 0, 0))
+    assert [m.text for m in heard if m.get_type() == "STATUSTEXT"] == ["No Mission. Can't set AUTO."]
+
+
+def test_pause_is_unsupported_on_a_rover():
+    assert Bench().ask(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0) == UNSUPPORTED
+
+
+def test_arming_without_gps_fails_in_words():
+    bench = Bench()
+    bench.rover.lose_gps(True)
+    heard = bench.tell(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
+    assert [m.text for m in heard if m.get_type() == "STATUSTEXT"] == ["Arm: GPS 1: Bad fix"]
+    assert not bench.rover.armed
+
+
+def test_losing_gps_holds_while_positions_go_on():
+    bench = Bench().guided()
+    bench.reposition(5.0, 5.0)
+    bench.rover.lose_gps(True)
+    heard = bench.run(2.0)
+    assert bench.rover.mode == HOLD
+    assert len([m for m in heard if m.get_type() == "GLOBAL_POSITION_INT"]) >= 7
+
+
+def test_hold_outlasts_the_failsafe_that_caused_it():
+    bench = Bench(gcs_failsafe_s=3.0).guided()
+    beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
+    bench.tell(beat)
+    bench.run(5.0)
+    assert bench.rover.mode == HOLD
+    bench.tell(beat)
+    texts = [m.text for m in bench.run(1.0) if m.get_type() == "STATUSTEXT"]
+    assert texts == ["GCS Failsafe Cleared"] and bench.rover.mode == HOLD
+
+
+def test_the_failsafe_needs_a_first_heartbeat():
+    bench = Bench(gcs_failsafe_s=3.0).guided()
+    bench.run(10.0)
+    assert bench.rover.mode == GUIDED
+
+
+def test_a_broadcast_is_obeyed():
+    bench = Bench()
+    assert bench.ask(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1, target=0) == ACCEPTED
+    assert bench.rover.armed
+
+
+def test_another_systems_commands_are_not():
+    bench = Bench()
+    assert bench.tell(mavlink.MAVLink_command_long_message(2, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)) == []
+
+
+def test_return_drives_home():
+    bench = Bench().guided()
+    bench.reposition(3.0, 0.0)
+    bench.run(8.0)
+    assert bench.ask(mavlink.MAV_CMD_DO_SET_MODE, 1, RTL) == ACCEPTED
+    bench.run(12.0)
+    assert at(bench) == pytest.approx((0.0, 0.0), abs=0.1)
+
+
+def test_positions_come_at_the_rate_asked_for():
+    bench = Bench()
+    bench.run(1.0)
+    bench.ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 33, 1e6 / 5)
+    heard = bench.run(10.0)
+    assert 48 <= len([m for m in heard if m.get_type() == "GLOBAL_POSITION_INT"]) <= 51
+    assert 9 <= len([m for m in heard if m.get_type() == "HEARTBEAT"]) <= 11
+
+
+def test_noise_is_in_what_is_reported_only():
+    bench = Bench(pose_noise_m=0.5)
+    lats = [m.lat for m in bench.run(20.0) if m.get_type() == "GLOBAL_POSITION_INT"]
+    assert np.std(lats) * 1e-7 * 111_000 == pytest.approx(0.5, rel=0.4)
+    assert at(bench) == (0.0, 0.0)
