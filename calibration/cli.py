@@ -48,6 +48,10 @@ def fit(
     receiver_offsets: Annotated[
         bool, typer.Option("--receiver-offsets", help="Find how each receiver differs from the first.")
     ] = False,
+    pattern: Annotated[
+        Literal["none", "auto", "circle", "ellipse", "lobe", "fourier", "spline"],
+        typer.Option(help="Gain by heading (column heading_deg): auto chooses by BIC."),
+    ] = "none",
     place_cell_m: _PLACE = None,
     negate: _NEGATE = False,
     radio: Annotated[str, typer.Option(help="Radio and its settings, to be remembered in the file.")] = "",
@@ -74,7 +78,13 @@ def fit(
     data = read_readings(
         readings, names=_pairs(column), where=_pairs(where), place_cell_m=place_cell_m, negate=negate
     )
-    result = fit_readings(data, Options(missed, saturation_dbm, min_distance_m, receiver_offsets))
+    options = Options(missed, saturation_dbm, min_distance_m, receiver_offsets)
+    if pattern == "none":
+        result, shape = fit_readings(data, options), None
+    else:
+        from calibration.patterns import fit_pattern
+
+        result, shape = fit_pattern(data, options, pattern)
     judgement = judge(result)
     refused = judgement.state == "refused"
     if not refused or keep_refused:
@@ -85,13 +95,13 @@ def fit(
         if report is not None:
             from calibration.report import report_html
 
-            write_whole(report, report_html(result, judgement))
+            write_whole(report, report_html(result, judgement, shape))
         if out is not None:
-            write_whole(out, dump_antenna(output.antenna_file(result, judgement, radio)))
+            write_whole(out, dump_antenna(output.antenna_file(result, judgement, radio, shape)))
     if as_json:
-        typer.echo(json.dumps(output.plain(result, judgement)))
+        typer.echo(json.dumps(output.plain(result, judgement, shape)))
     else:
-        typer.echo(output.words(result, judgement))
+        typer.echo(output.words(result, judgement, shape))
     if refused:
         raise typer.Exit(2)
 

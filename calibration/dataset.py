@@ -33,6 +33,8 @@ class Readings:
     places: tuple[str, ...]
     heading_deg: FloatArray | None = None
     """(n,) direction to the other radio as the antenna sees it, clockwise from its front; None: not known."""
+    gain_db: FloatArray | None = None
+    """(n,) known gain towards the other radio, from a pattern; None: the same all round."""
     receiver: IntArray | None = None
     receivers: tuple[str, ...] = ()
     order: FloatArray | None = None
@@ -66,6 +68,7 @@ class Readings:
             rss_dbm=self.rss_dbm[rows],
             place=self.place[rows],
             heading_deg=cut(self.heading_deg),
+            gain_db=cut(self.gain_db),
             receiver=cut(self.receiver),
             order=cut(self.order),
             tx_m=cut(self.tx_m),

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calibration import likelihood
-from calibration.fit import FitResult, clustered, make_rows
+from calibration.fit import FitResult, clustered, fitted_mean, make_rows
 from calibration.likelihood import Rows
 from fieldkit.messages import FloatArray
 
@@ -134,7 +134,8 @@ def near_field(result: FitResult) -> tuple[float, float] | None:
 
 def residuals_db(result: FitResult) -> FloatArray:
     """(n,) reading minus fitted level; nan for missed packets."""
-    return result.readings.rss_dbm - result.mean_dbm(result.readings.distance_m)
+    r = result.readings
+    return r.rss_dbm - fitted_mean(result.theta, r, bool(result.receiver_offsets_db))
 
 
 def _quick(distance_m: FloatArray, rss_dbm: FloatArray) -> tuple[float, float]:

@@ -137,7 +137,7 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
             n_outliers, n_lost = n_outliers + int(odd.sum()), n_lost + int(lost.sum())
             readings = readings.keep(~(odd | lost))
             continue
-        mean = design(readings, offsets) @ theta[:-1]
+        mean = fitted_mean(theta, readings, offsets)
         sigma = float(np.exp(theta[-1]))
         threshold = estimate_threshold(mean, sigma, readings, missed)
         # A threshold that jitters loses packets well above it: count that whole region as hidden, fit again.
@@ -194,6 +194,12 @@ def design(readings: Readings, receiver_offsets: bool = False) -> FloatArray:
     return np.column_stack(columns)
 
 
+def fitted_mean(theta: FloatArray, readings: Readings, receiver_offsets: bool = False) -> FloatArray:
+    """(n,) mean level of each packet."""
+    mean = design(readings, receiver_offsets) @ theta[:-1]
+    return mean if readings.gain_db is None else mean + readings.gain_db
+
+
 def make_rows(
     readings: Readings,
     missed: Missed,
@@ -226,10 +232,13 @@ def make_rows(
     keys = np.column_stack([readings.place, readings.distance_m, receiver, low, high])
     if more is not None:
         matrix, keys = np.column_stack([matrix, more]), np.column_stack([keys, more])
-    keys = keys[keep]
+    offset = np.zeros(len(z)) if readings.gain_db is None else readings.gain_db
+    keys = np.column_stack([keys, offset])[keep]
     first, count = _distinct(keys)
     chosen = np.flatnonzero(keep)[first]
-    return Rows(matrix[chosen], low[chosen], high[chosen], count, readings.place[chosen], 0.0, seen_above)
+    return Rows(
+        matrix[chosen], low[chosen], high[chosen], count, readings.place[chosen], offset[chosen], seen_above
+    )
 
 
 def _distinct(keys: Any) -> tuple[np.ndarray, FloatArray]:
@@ -300,7 +309,7 @@ def _start(rows: Rows) -> FloatArray:
     x, *_ = np.linalg.lstsq(
         rows.design[use] * root[:, None], (level - rows.offset_dbm)[use] * root, rcond=None
     )
-    residual = level[use] - rows.design[use] @ x
+    residual = (level - rows.offset_dbm)[use] - rows.design[use] @ x
     spread = np.sqrt(np.average(residual**2, weights=rows.count[use]))
     return np.append(x, np.log(np.clip(spread, 0.5, 20.0)))
 
@@ -309,7 +318,7 @@ def _piles_up(theta: FloatArray, readings: Readings) -> bool:
     """Whether many more readings stand at the strongest level than its neighbours' mean can explain."""
     z = readings.rss_dbm[~readings.missed]
     top = z.max()
-    mean = design(readings.keep(~readings.missed))[:, :2] @ theta[:2]
+    mean = fitted_mean(theta[[0, 1, -1]], readings.keep(~readings.missed))
     sigma = float(np.exp(theta[-1]))
     from scipy.special import ndtr
 
@@ -323,7 +332,7 @@ def _odd(
     theta: FloatArray, readings: Readings, censor_dbm: float | None, receiver_offsets: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """(n,) readings too far from their mean, and packets missed where all should be heard."""
-    mean = design(readings, receiver_offsets) @ theta[:-1]
+    mean = fitted_mean(theta, readings, receiver_offsets)
     sigma = float(np.exp(theta[-1]))
     with np.errstate(invalid="ignore"):
         odd = np.abs(readings.rss_dbm - mean) > OUTLIER_SIGMA * sigma + 0.5

@@ -23,14 +23,15 @@ def csv_from_table(path: Path, names: Mapping[str, str], where: Mapping[str, str
             f"{path}: no column of readings; map yours: --column rss_dbm=NAME; there are "
             f"{', '.join(table.others)}"
         )
-    return _text(known, list(zip(*(table.columns[name] for name in known), strict=True)))
+    rows = list(zip(*(table.columns[name] for name in known), strict=True))
+    return _text(known, rows)
 
 
 def csv_from_recording(path: Path, east_m: float, north_m: float) -> str:
     """Readings of a mission whose only transmitter stood at (east_m, north_m) in the field's frame.
 
-    A robot that listened while another heard is a missed packet. What nobody heard is in no recording, so take
-    one robot near the transmitter to have every packet counted.
+    A robot that listened while another heard is a missed packet. What nobody heard is in no recording, so
+    keep one robot near the transmitter to have every packet counted.
     """
     from fieldkit.recording import open_recording
 

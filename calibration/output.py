@@ -5,13 +5,16 @@ from typing import Any
 import numpy as np
 
 from calibration.fit import FitResult, as_dict
+from calibration.patterns import Pattern
 from calibration.verdict import Judgement
 from fieldkit.antenna.file import AntennaFile
 
 _NAMES = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
 
 
-def antenna_file(result: FitResult, judgement: Judgement, radio: str = "") -> AntennaFile:
+def antenna_file(
+    result: FitResult, judgement: Judgement, radio: str = "", pattern: Pattern | None = None
+) -> AntennaFile:
     """What a mission reads."""
     heard = result.readings.distance_m[~result.readings.missed]
     data: dict[str, Any] = {
@@ -38,7 +41,18 @@ def antenna_file(result: FitResult, judgement: Judgement, radio: str = "") -> An
         covariance={"names": list(_NAMES), "matrix": covariance(result).tolist()},
         data=data,
         radio={"setting": radio} if radio else {},
+        model="omnidirectional" if _round(pattern) else "tabulated",
+        pattern={} if pattern is None or _round(pattern) else _table(pattern),
     )
+
+
+def _round(pattern: Pattern | None) -> bool:
+    return pattern is None or pattern.family == "circle"
+
+
+def _table(pattern: Pattern) -> dict[str, Any]:
+    heading, gain = pattern.table()
+    return {"family": pattern.name, "heading_deg": heading.tolist(), "gain_db": np.round(gain, 3).tolist()}
 
 
 def covariance(result: FitResult) -> np.ndarray:
@@ -48,9 +62,11 @@ def covariance(result: FitResult) -> np.ndarray:
     return result.covariance[np.ix_(pick, pick)] * np.outer(by, by)
 
 
-def plain(result: FitResult, judgement: Judgement) -> dict[str, Any]:
+def plain(result: FitResult, judgement: Judgement, pattern: Pattern | None = None) -> dict[str, Any]:
     """For `--json`."""
+    more = {} if pattern is None else {"pattern": {**_table(pattern), "bic": pattern.bic}}
     return {
+        **more,
         "verdict": judgement.state,
         "refusals": list(judgement.refusals),
         "warnings": list(judgement.warnings),
@@ -58,7 +74,7 @@ def plain(result: FitResult, judgement: Judgement) -> dict[str, Any]:
     }
 
 
-def words(result: FitResult, judgement: Judgement) -> str:
+def words(result: FitResult, judgement: Judgement, pattern: Pattern | None = None) -> str:
     """For people: a line for each parameter, then the verdict and why."""
     low_high = {name: f"{low:.2f} to {high:.2f}" for name, (low, high) in result.intervals_95.items()}
     a = result.antenna
@@ -75,6 +91,12 @@ def words(result: FitResult, judgement: Judgement) -> str:
             f"of sigma: {result.sigma_time_db:.1f} dB at one place over time, "
             f"{result.sigma_place_db:.1f} dB "
             "from place to place (more readings at one place do not reduce it)"
+        )
+    if pattern is not None:
+        _, gain = pattern.table()
+        tried = ", ".join(f"{name} {value:.0f}" for name, value in pattern.bic.items())
+        lines.append(
+            f"pattern: {pattern.name}, {np.ptp(gain):.1f} dB from its weakest to its best side (BIC: {tried})"
         )
     for name, (value, half) in result.receiver_offsets_db.items():
         lines.append(

@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration import diagnose
 from calibration.fit import FitResult
+from calibration.patterns import Pattern
 from fieldkit.messages import FloatArray
 
 BAND_SIGMA = 1.96
@@ -72,6 +73,23 @@ def residual_pngs(result: FitResult) -> dict[str, bytes]:
         axes.set(xscale="log" if name == "distance" else "linear", xlabel=label, ylabel="residual (dB)")
         pictures[name] = _png(figure)
     return pictures
+
+
+def polar_png(pattern: Pattern) -> bytes:
+    """Gain by heading, the antenna's front up, clockwise."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.5, 4.5), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes: Any = figure.add_subplot(projection="polar")
+    axes.set_theta_zero_location("N")
+    axes.set_theta_direction(-1)
+    heading, gain = pattern.table()
+    closed = np.append(heading, 360.0)
+    axes.plot(np.radians(closed), np.append(gain, gain[0]), color="#d1495b")
+    axes.set_title(f"{pattern.name}, gain in dB")
+    return _png(figure)
 
 
 def save_plot(result: FitResult, path: Path) -> None:

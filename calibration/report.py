@@ -4,6 +4,7 @@ from base64 import b64encode
 
 from calibration import plots
 from calibration.fit import FitResult
+from calibration.patterns import Pattern
 from calibration.verdict import Judgement
 
 _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Calibration of {{ name }}</title>
@@ -24,6 +25,8 @@ img { max-width: 100% } .verdict { padding: .6rem 1rem; border-radius: .4rem; ba
 <p>{{ counts }} Intervals count places, not readings: readings at one spot share its reflections.</p>
 {% if split %}<p>{{ split }}</p>{% endif %}
 <h2>Readings against distance</h2><img alt="fit" src="data:image/png;base64,{{ fit }}">
+{% if polar %}<h2>Gain by heading</h2><p>{{ shape }}</p>
+<img alt="pattern" src="data:image/png;base64,{{ polar }}">{% endif %}
 <h2>What the fit leaves over</h2>
 {% for title, picture in residuals %}<h3>Against {{ title }}</h3>
 <img alt="residuals against {{ title }}" src="data:image/png;base64,{{ picture }}">{% endfor %}
@@ -43,7 +46,7 @@ _PARAMETERS = (
 )
 
 
-def report_html(result: FitResult, judgement: Judgement) -> str:
+def report_html(result: FitResult, judgement: Judgement, pattern: Pattern | None = None) -> str:
     """The page as text."""
     from jinja2 import Environment
 
@@ -68,6 +71,8 @@ def report_html(result: FitResult, judgement: Judgement) -> str:
             rows=rows,
             split=split,
             counts=f"{result.n_readings} readings, {result.n_missed} missed, {result.n_places} places.",
+            polar="" if pattern is None else b64encode(plots.polar_png(pattern)).decode(),
+            shape="" if pattern is None else f"Chosen: {pattern.name}.",
             fit=b64encode(plots.fit_png(result)).decode(),
             residuals=[
                 (title, b64encode(png).decode()) for title, png in plots.residual_pngs(result).items()

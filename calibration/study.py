@@ -10,9 +10,9 @@ from fieldkit.antenna.model import Antenna
 from fieldkit.messages import FloatArray
 
 #: The papers' calibration: exponent 2.53 and 3.3 dB; power and threshold give 11 % missed and 21 % saturated.
-TRUTH = Antenna(2.53, -62.0, 3.3, -76.0, -52.0)
+TRUTH = Antenna(2.53, -62.0, 3.3, -76.0, -49.0)
 CONFIGURATIONS, PACKETS = 328, 20
-RANGE_M = (0.15, 4.5)
+RANGE_M = (0.15, 4.9)
 CONDITIONS: dict[str, tuple[float, float]] = {"plain": (0.0, 0.0), "shadowed": (2.0, 0.0), "soft": (0.0, 2.0)}
 """Name to (place-to-place shadowing in dB, jitter of the threshold in dB)."""
 

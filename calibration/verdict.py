@@ -149,7 +149,8 @@ def _structure(result: FitResult, refusals: list[str], warnings: list[str]) -> N
     heading = diagnose.against_heading(result)
     if heading is not None and heading.p_value < SURE and heading.swing_db > HEADING_WARN_DB:
         text = (
-            f"levels swing by {heading.swing_db:.1f} dB with heading: an antenna pattern is missing; fit one"
+            f"levels swing by {heading.swing_db:.1f} dB with heading: an antenna pattern is "
+            "missing; fit one (--pattern auto)"
         )
         (refusals if heading.swing_db > HEADING_REFUSE_DB else warnings).append(text)
     bend = diagnose.against_distance(result)

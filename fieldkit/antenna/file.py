@@ -32,12 +32,16 @@ class AntennaFile:
     radio: dict[str, Any] = field(default_factory=dict)
     """family, setting: free text about the radios the readings came from."""
     model: str = "omnidirectional"
+    """"tabulated" where `pattern` holds an antenna's gain by heading."""
+    pattern: dict[str, Any] = field(default_factory=dict)
+    """family, heading_deg (clockwise from the antenna's front), gain_db; empty: the same all round."""
 
 
-def read_antenna(path: Path, *, allow_refused: bool = False) -> AntennaFile:
+def read_antenna(path: Path, *, allow_refused: bool = False, allow_pattern: bool = False) -> AntennaFile:
     """Read an antenna file. Raises `ConfigError` naming file, key, what was expected and what was there.
 
-    A file whose verdict is `refused` is an error unless `allow_refused`.
+    A file whose verdict is `refused` is an error unless `allow_refused`. So is one with a radiation pattern
+    unless `allow_pattern`: who reads only `antenna` would take a directional antenna for one that is not.
     """
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -46,6 +50,11 @@ def read_antenna(path: Path, *, allow_refused: bool = False) -> AntennaFile:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
     parsed = parse_antenna(raw, str(path))
+    if parsed.pattern and not allow_pattern:
+        raise ConfigError(
+            f"{path}: model: expected 'omnidirectional', got {parsed.model!r}: this antenna's "
+            "gain depends on heading"
+        )
     if parsed.verdict == "refused" and not allow_refused:
         reasons = "; ".join(parsed.reasons) or "no reason recorded"
         raise ConfigError(
@@ -63,8 +72,11 @@ def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
         raise ConfigError(
             f"{where}: schema: {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
         )
-    if raw.get("model", "omnidirectional") != "omnidirectional":
-        raise ConfigError(f"{where}: model: expected 'omnidirectional', got {raw['model']!r}")
+    model, pattern = raw.get("model", "omnidirectional"), raw.get("pattern", {})
+    if model not in ("omnidirectional", "tabulated"):
+        raise ConfigError(f"{where}: model: expected 'omnidirectional' or 'tabulated', got {model!r}")
+    if model == "tabulated":
+        _check_pattern(pattern, where)
     parameters = raw.get("parameters")
     if not isinstance(parameters, dict):
         raise ConfigError(f"{where}: parameters: expected a table, got {parameters!r}")
@@ -100,7 +112,20 @@ def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
         covariance=dict(raw.get("covariance", {})),
         data=dict(raw.get("data", {})),
         radio=dict(raw.get("radio", {})),
+        model=model,
+        pattern=dict(pattern) if model == "tabulated" else {},
     )
+
+
+def _check_pattern(pattern: Any, where: str) -> None:
+    """Two equally long lists of numbers."""
+    lists = [pattern.get(name) if isinstance(pattern, dict) else None for name in ("heading_deg", "gain_db")]
+    columns = [each for each in lists if isinstance(each, list) and all(isinstance(x, int | float) for x in each)]
+    if len(columns) != 2 or len(columns[0]) != len(columns[1]) or len(columns[0]) < 4:
+        raise ConfigError(
+            f"{where}: pattern: expected equally long lists heading_deg and gain_db of 4 numbers or more, "
+            f"got {pattern!r}"
+        )
 
 
 def dump_antenna(file: AntennaFile) -> str:
@@ -127,7 +152,7 @@ def dump_antenna(file: AntennaFile) -> str:
     document["verdict"] = {"state": file.verdict, "reasons": list(file.reasons)}
     if file.intervals_95:
         document["intervals_95"] = {name: list(pair) for name, pair in file.intervals_95.items()}
-    for name in ("covariance", "data", "radio"):
+    for name in ("pattern", "covariance", "data", "radio"):
         if getattr(file, name):
             document[name] = getattr(file, name)
     return tomlkit.dumps(document)

@@ -1,0 +1,96 @@
+"""Radiation patterns are found, named and not invented."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from calibration import patterns
+from calibration.cli import app
+from calibration.dataset import from_arrays
+from calibration.fit import fit
+from calibration.verdict import judge
+from fieldkit.antenna.file import read_antenna
+from fieldkit.antenna.model import Antenna
+from fieldkit.errors import ConfigError, DataError
+
+ANTENNA = Antenna(2.5, -55.0, 3.0, -85.0)
+SHAPES = {
+    "circle": lambda h: 0.0 * h,
+    "ellipse": lambda h: (
+        12.5 * np.log10(1 / (np.cos(np.radians(h - 30)) ** 2 / 2.7 + np.sin(np.radians(h - 30)) ** 2))
+    ),
+    "lobe": lambda h: np.maximum(
+        20
+        * np.log10(
+            np.maximum(np.cos(np.radians(np.clip(1.5 * ((h - 40 + 180) % 360 - 180), -90, 90))), 1e-6)
+        ),
+        -12,
+    ),
+    "fourier": lambda h: 5 * np.cos(np.radians(h - 30)) + 3 * np.cos(2 * np.radians(h)),
+}
+
+
+def turned(shape, seed=0, n=72, packets=10):
+    rng = np.random.default_rng(seed)
+    distance, heading = np.exp(rng.uniform(np.log(0.4), np.log(8), n)), rng.uniform(0, 360, n)
+    place = np.repeat(np.arange(n), packets)
+    mean = (ANTENNA.mean_rss_dbm(distance) + shape(heading))[place]
+    level = np.floor(mean + rng.normal(0, 3, len(place)) + 0.5)
+    heard = np.where(level > ANTENNA.threshold_dbm, level, np.nan)
+    return from_arrays(distance[place], heard, place, heading_deg=heading[place])
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_family_the_readings_came_from_is_chosen(name):
+    result, pattern = patterns.fit_pattern(turned(SHAPES[name]))
+    assert pattern.family == name
+    heading = np.arange(0.0, 360.0)
+    truth = SHAPES[name](heading)
+    error = pattern.gain(heading) - (truth - truth.mean())
+    assert np.sqrt(np.mean(error**2)) < 0.6
+    assert abs(result.antenna.path_loss_exponent - 2.5) < 0.15
+    assert judge(result).state != "refused"
+
+
+def test_without_the_pattern_the_same_readings_are_refused():
+    assert "pattern is missing" in " ".join(judge(fit(turned(SHAPES["fourier"]))).refusals)
+
+
+def test_every_gain_averages_zero_over_the_headings():
+    for family in patterns.FAMILIES:
+        _, pattern = patterns.fit_pattern(turned(SHAPES["lobe"], n=40), family=family)
+        assert abs(pattern.gain(np.arange(0.0, 360.0)).mean()) < 1e-6, family
+
+
+@given(st.floats(-720, 720), st.integers(6, 12))
+def test_splines_are_periodic_and_sum_to_zero(heading, knots):
+    basis = patterns._spline(knots)
+    np.testing.assert_allclose(basis(np.array([heading])), basis(np.array([heading + 360.0])), atol=1e-9)
+
+
+def test_readings_without_headings_are_refused():
+    readings = turned(SHAPES["circle"])
+    with pytest.raises(DataError, match="heading_deg"):
+        patterns.fit_pattern(from_arrays(readings.distance_m, readings.rss_dbm, readings.place))
+
+
+def test_a_patterns_file_is_not_taken_for_an_omnidirectional_one(tmp_path):
+    readings = turned(SHAPES["lobe"])
+    lines = ["place,distance_m,heading_deg,rss_dbm"]
+    for p, d, h, z in zip(
+        readings.place, readings.distance_m, readings.heading_deg, readings.rss_dbm, strict=True
+    ):
+        lines.append(f"p{p},{d:.4f},{h:.2f},{'' if np.isnan(z) else int(z)}")
+    (tmp_path / "r.csv").write_text("\n".join(lines))
+    out, report = tmp_path / "antenna.toml", tmp_path / "report.html"
+    arguments = ["fit", str(tmp_path / "r.csv"), "--pattern", "auto", "-o", str(out), "--report", str(report)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "Gain by heading" in report.read_text()
+    with pytest.raises(ConfigError, match="depends on heading"):
+        read_antenna(out)
+    file = read_antenna(out, allow_pattern=True)
+    assert file.model == "tabulated" and file.pattern["family"] == "lobe"
+    assert file.pattern["heading_deg"][np.argmax(file.pattern["gain_db"])] == pytest.approx(40.0, abs=5.0)
