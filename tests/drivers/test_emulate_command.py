@@ -1,0 +1,57 @@
+"""`fieldkit emulate` as a user runs it."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from drivers.cli import emulate
+
+RUN = "from drivers.cli import emulate\nif __name__ == '__main__':\n    emulate()\n"
+
+
+@pytest.mark.parametrize("what", ["xbee", "rover", "field"])
+def test_help_has_an_example(what):
+    result = CliRunner().invoke(emulate, [what, "--help"])
+    assert result.exit_code == 0
+    assert f"fieldkit emulate {what}" in " ".join(result.output.split())
+
+
+def test_importing_the_command_imports_nothing_heavy():
+    heavy = "{'numpy', 'digi.xbee', 'pymavlink', 'serial', 'asyncio'}"
+    code = f"import sys, drivers.cli; print(sorted({heavy} & set(sys.modules)))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "[]"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["xbee"], 'port = "'),
+        (["rover", "--address", "127.0.0.1:9"], "udpin:127.0.0.1:9"),
+        (["field", "--robots", "2", "--address", "127.0.0.1:9"], "hidden transmitter"),
+    ],
+)
+def test_says_where_to_connect_and_ends_with_ctrl_c(tmp_path, arguments, words):
+    program = tmp_path / "emulate.py"
+    program.write_text(RUN)
+    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(
+        [sys.executable, str(program), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=environment,
+    ) as process:
+        said = ""
+        for line in process.stdout:
+            said += line
+            if "Ctrl-C" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) is not None
+    assert words in said
