@@ -180,7 +180,9 @@ def parse_mission(text: str, where: str) -> MissionFile:
         raise ConfigError(f"{where}: not valid TOML: {error}") from error
     schema = raw.get("schema")
     if isinstance(schema, int) and schema > SCHEMA:
-        raise ConfigError(f"{where}: schema: {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit")
+        raise ConfigError(
+            f"{where}: schema: {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
+        )
     try:
         file = MissionFile.model_validate(raw)
     except pydantic.ValidationError as error:
@@ -204,16 +206,24 @@ def _check_robots(file: MissionFile, where: str) -> None:
     names = [robot.name for robot in file.robot]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(f"{where}: robot: the name {name!r} is given to {names.count(name)} robots; give each its own")
+            raise ConfigError(
+                f"{where}: robot: the name {name!r} is given to {names.count(name)} robots; give each its own"
+            )
     teamed = [name for team in file.team for name in team.robots]
     for name in teamed:
         if name not in names:
-            raise ConfigError(f"{where}: team.robots: there is no robot {name!r}; robots are: {', '.join(names)}")
+            raise ConfigError(
+                f"{where}: team.robots: there is no robot {name!r}; robots are: {', '.join(names)}"
+            )
         if teamed.count(name) > 1:
-            raise ConfigError(f"{where}: team.robots: robot {name!r} is in {teamed.count(name)} teams; expected one")
+            raise ConfigError(
+                f"{where}: team.robots: robot {name!r} is in {teamed.count(name)} teams; expected one"
+            )
     for name in names:
         if name not in teamed:
-            raise ConfigError(f"{where}: team: robot {name!r} is in no team; add [[team]] robots = [{name!r}]")
+            raise ConfigError(
+                f"{where}: team: robot {name!r} is in no team; add [[team]] robots = [{name!r}]"
+            )
     seen: dict[tuple[str, str, Any], str] = {}
     ports: dict[str, str] = {}
     for robot in file.robot:
@@ -237,7 +247,10 @@ def _check_robots(file: MissionFile, where: str) -> None:
 
 def _check_names(file: MissionFile, where: str) -> None:
     """Names of drivers, belief and planner must exist; nothing is imported yet."""
-    wanted = [("fieldkit.beliefs", "engine.belief", file.engine.belief), ("fieldkit.planners", "engine.planner", file.engine.planner)]
+    wanted = [
+        ("fieldkit.beliefs", "engine.belief", file.engine.belief),
+        ("fieldkit.planners", "engine.planner", file.engine.planner),
+    ]
     for robot in file.robot:
         wanted.append(("fieldkit.receivers", f"robot {robot.name!r}: receiver.driver", robot.receiver.driver))
         wanted.append(("fieldkit.vehicles", f"robot {robot.name!r}: vehicle.driver", robot.vehicle.driver))

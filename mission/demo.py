@@ -25,6 +25,7 @@ from mission import rigs
 from mission.config import Mission, read_mission
 from mission.runner import Progress, Runner
 from mission.template import TemplateRobot, mission_text
+from mission.warm import warm_up
 
 N_SOURCES = 3
 FIELD_M = 10.0
@@ -47,7 +48,11 @@ class DemoResult:
 
     def plain(self, seed: int) -> dict[str, Any]:
         """The result for `--json`."""
-        return {"seed": seed, **compare(self.runner, self.sources), "recording": str(self.folder / "mission.mcap")}
+        return {
+            "seed": seed,
+            **compare(self.runner, self.sources),
+            "recording": str(self.folder / "mission.mcap"),
+        }
 
 
 def example_readings() -> Path:
@@ -99,12 +104,24 @@ def prepare(folder: Path, seed: int) -> tuple[Mission, tuple[TransientSource, ..
 
 
 def run(
-    folder: Path, seed: int, *, rate: float = CLOCK_RATE, on_progress: Callable[[Progress], None] = lambda _: None
+    folder: Path,
+    seed: int,
+    *,
+    rate: float = CLOCK_RATE,
+    on_progress: Callable[[Progress], None] = lambda _: None,
 ) -> DemoResult:
     """One whole mission; its files are in `folder` afterwards."""
     mission, sources = prepare(folder, seed)
+    warm_up(mission)
     with rigs.emulated(mission, sources, seed=seed, rate=rate) as rig:
-        runner = fly(mission, rig, folder / "mission.mcap", on_progress, truth=sources, extra={"demo": True, "seed": seed})
+        runner = fly(
+            mission,
+            rig,
+            folder / "mission.mcap",
+            on_progress,
+            truth=sources,
+            extra={"demo": True, "seed": seed},
+        )
     return DemoResult(mission, runner, sources, folder)
 
 
@@ -121,7 +138,8 @@ def fly(
     metadata: dict[str, Any] = {"mission": mission.file.name, "seed": mission.file.seed, **(extra or {})}
     if truth:
         metadata["truth"] = [
-            {"east_m": s.east_m, "north_m": s.north_m, "power_db": s.power_db, "rate_hz": s.rate_hz} for s in truth
+            {"east_m": s.east_m, "north_m": s.north_m, "power_db": s.power_db, "rate_hz": s.rate_hz}
+            for s in truth
         ]
     frame = FieldFrame(mission.frame.origin_lat_deg, mission.frame.origin_lon_deg, mission.frame.origin_alt_m)
     with RecordingWriter(

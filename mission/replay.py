@@ -30,12 +30,16 @@ class Replayed:
     missing: str
 
 
-def recorded_mission(recording: Recording, antenna: AntennaFile | None = None, antenna_text: str = "") -> Mission:
+def recorded_mission(
+    recording: Recording, antenna: AntennaFile | None = None, antenna_text: str = ""
+) -> Mission:
     """The mission a recording was made with, or the same with another antenna. Raises `RecordingError`."""
     import tomllib
 
     if not recording.mission_toml or not recording.antenna_toml:
-        raise RecordingError(f"{recording.path}: it holds no mission and antenna file, so it cannot be replayed")
+        raise RecordingError(
+            f"{recording.path}: it holds no mission and antenna file, so it cannot be replayed"
+        )
     where = f"{recording.path} (recorded mission.toml)"
     file = parse_mission(recording.mission_toml, where)
     if antenna is None:
@@ -44,7 +48,9 @@ def recorded_mission(recording: Recording, antenna: AntennaFile | None = None, a
     return assemble(file, recording.mission_toml, antenna, antenna_text, where)
 
 
-def replay(path: Path, *, mission: Mission | None = None, check: bool = True, until_s: float | None = None) -> Replayed:
+def replay(
+    path: Path, *, mission: Mission | None = None, check: bool = True, until_s: float | None = None
+) -> Replayed:
     """Feed the recorded inbox through a fresh kernel and safety.
 
     With `check`, every command and every recorded belief digest must come out the same: `ReplayMismatch` names the
@@ -129,4 +135,6 @@ def _say(commands: list[tuple[str, Command]]) -> str:
 def what_if(mission: Mission, *, belief: str | None = None, planner: str | None = None) -> Mission:
     """The mission with another belief or planner."""
     kernel = mission.kernel
-    return replace(mission, kernel=replace(kernel, belief=belief or kernel.belief, planner=planner or kernel.planner))
+    return replace(
+        mission, kernel=replace(kernel, belief=belief or kernel.belief, planner=planner or kernel.planner)
+    )

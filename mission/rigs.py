@@ -54,7 +54,12 @@ def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emula
 
 @contextmanager
 def emulated(
-    mission: Mission, sources: tuple[TransientSource, ...], *, seed: int, rate: float, pose_noise_m: float = 0.02
+    mission: Mission,
+    sources: tuple[TransientSource, ...],
+    *,
+    seed: int,
+    rate: float,
+    pose_noise_m: float = 0.02,
 ) -> Iterator[Rig]:
     """An emulated field for the mission's robots, on a clock `rate` times as fast as the wall's.
 
@@ -84,7 +89,9 @@ def emulated(
         robots = tuple(
             robot.model_copy(
                 update={
-                    "receiver": replace_options(robot.receiver, {"driver": "xbee", "port": field.receiver_ports[robot.name]}),
+                    "receiver": replace_options(
+                        robot.receiver, {"driver": "xbee", "port": field.receiver_ports[robot.name]}
+                    ),
                     "vehicle": replace_options(
                         robot.vehicle,
                         {
@@ -114,7 +121,10 @@ def start_places(mission: Mission) -> dict[str, tuple[float, float]]:
         centre = (index + 0.5) / len(teams) * mission.safety.size_east_m
         for slot, robot in enumerate(team):
             east = centre + (slot - (len(team) - 1) / 2) * gap
-            places[robot] = (float(np.clip(east, 0.0, mission.safety.size_east_m)), mission.safety.fence_margin_m + gap)
+            places[robot] = (
+                float(np.clip(east, 0.0, mission.safety.size_east_m)),
+                mission.safety.fence_margin_m + gap,
+            )
     return places
 
 

@@ -91,10 +91,13 @@ class Runner:
             for device in (*self.rig.receivers, *self.rig.links):
                 await stack.enter_async_context(device)
             tasks = [
-                asyncio.create_task(self._pump(self._readings(r)), name=f"receiver {r.robot}") for r in self.rig.receivers
+                asyncio.create_task(self._pump(self._readings(r)), name=f"receiver {r.robot}")
+                for r in self.rig.receivers
             ]
             tasks += [
-                asyncio.create_task(self._pump(self._vehicle_events(link)), name=f"link {' '.join(link.robots)}")
+                asyncio.create_task(
+                    self._pump(self._vehicle_events(link)), name=f"link {' '.join(link.robots)}"
+                )
                 for link in self.rig.links
             ]
             tasks += [asyncio.create_task(self._obey(robot), name=f"orders {robot}") for robot in self._links]
@@ -244,7 +247,13 @@ class Runner:
 
     def _show(self, t_ns: int, outcome: Outcome) -> None:
         self.on_progress(
-            Progress(self.kernel.elapsed_s(t_ns), self.kernel.detections, self.kernel, dict(self._doing), outcome.notes)
+            Progress(
+                self.kernel.elapsed_s(t_ns),
+                self.kernel.detections,
+                self.kernel,
+                dict(self._doing),
+                outcome.notes,
+            )
         )
 
     # -- what goes out ---------------------------------------------------------------------------------------
@@ -259,7 +268,9 @@ class Runner:
     async def _take_over(self) -> None:
         """Make every vehicle ours once it is heard and its position known."""
         deadline_s = self.rig.clock.elapsed_s() + READY_TIMEOUT_S
-        while missing := [name for name, robot in self.kernel.robots.items() if robot.pose is None or robot.vehicle is None]:
+        while missing := [
+            name for name, robot in self.kernel.robots.items() if robot.pose is None or robot.vehicle is None
+        ]:
             if self.rig.clock.elapsed_s() > deadline_s:
                 raise DeviceTimeout(
                     f"no telemetry from {', '.join(missing)} in {READY_TIMEOUT_S:.0f} s: is the vehicle on, does it send to "
@@ -290,7 +301,9 @@ class Runner:
                         pass
             except DeviceError as error:
                 logger.warning("%s: %s", robot, error)
-                self.recorder.note("warning", f"{robot}: {type(order).__name__}: {error}", self.rig.clock.now_ns())
+                self.recorder.note(
+                    "warning", f"{robot}: {type(order).__name__}: {error}", self.rig.clock.now_ns()
+                )
 
     async def _hold_all(self, reason: str) -> None:
         """Tell every vehicle to hold, all at once; those that do not answer are named."""
@@ -302,7 +315,9 @@ class Runner:
                 await link.hold(robot)
             except DeviceError as error:
                 logger.error("%s did not confirm that it holds: %s", robot, error)
-                self.recorder.note("error", f"{robot} did not confirm that it holds: {error}", self.rig.clock.now_ns())
+                self.recorder.note(
+                    "error", f"{robot} did not confirm that it holds: {error}", self.rig.clock.now_ns()
+                )
 
         beating = asyncio.create_task(self._keep_beating())
         await asyncio.gather(*(hold(robot, link) for robot, link in self._links.items()))

@@ -173,7 +173,9 @@ class Safety:
         target = command.waypoint
         if robot is None:
             return Hold(command.t_ns, command.robot, "safety does not know this robot")
-        if not all(math.isfinite(value) for value in (target.east_m, target.north_m, target.speed_m_s, target.up_m)):
+        if not all(
+            math.isfinite(value) for value in (target.east_m, target.north_m, target.speed_m_s, target.up_m)
+        ):
             return Hold(command.t_ns, command.robot, f"its target is not finite: {target}")
         if robot.ordered:
             return Hold(command.t_ns, command.robot, f"operator: {robot.ordered}")

@@ -9,7 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldkit.antenna.model import Antenna
-from fieldkit.messages import EndMission, Event, FloatArray, GoTo, Hold, Pose, Return, RssReading, Tick, VehicleState
+from fieldkit.messages import (
+    EndMission,
+    Event,
+    FloatArray,
+    GoTo,
+    Hold,
+    Pose,
+    Return,
+    RssReading,
+    Tick,
+    VehicleState,
+)
 from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.rover import Rover
 from fieldkit.world.sources import TransientSource, Transmissions

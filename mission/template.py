@@ -15,7 +15,8 @@ class TemplateRobot:
 
 
 EXAMPLE_ROBOTS = tuple(
-    TemplateRobot(f"r{number}", f"/dev/ttyUSB{number - 1}", "udpin:0.0.0.0:14550", number) for number in range(1, 5)
+    TemplateRobot(f"r{number}", f"/dev/ttyUSB{number - 1}", "udpin:0.0.0.0:14550", number)
+    for number in range(1, 5)
 )
 
 

@@ -6,6 +6,7 @@ heard nothing; `levels` (h,) are received powers at 1 m in dBm.
 
 import math
 
+import numpy as np
 from numba import njit
 
 from fieldkit.messages import FloatArray
@@ -247,3 +248,129 @@ def path_information(
                     out[3] += w * dn * dn
             out[0] += dt * (1.0 - silent)
     out /= points.shape[0]
+
+
+@njit(cache=True, nogil=True)
+def _lookup(table: FloatArray, x: float, half_width: float, per_db: float) -> float:
+    """Linear interpolation in a table over [-half_width, half_width]."""
+    at = (x + half_width) * per_db
+    if at <= 0.0:
+        return table[0]
+    k = int(at)
+    if k >= table.shape[0] - 1:
+        return table[table.shape[0] - 1]
+    share = at - k
+    return (1.0 - share) * table[k] + share * table[k + 1]
+
+
+@njit(cache=True, nogil=True)
+def pairwise_loglik(
+    points: FloatArray,
+    robots: FloatArray,
+    rss: FloatArray,
+    ten_beta: float,
+    threshold: float,
+    min_range: float,
+    log_e11: FloatArray,
+    log_e10: FloatArray,
+    half_width: float,
+    per_db: float,
+    out: FloatArray,
+) -> None:
+    """out (n,): PRWA Theorem 1 (eq 19) in logs, one logarithm per robot and point, one look-up per pair and point."""
+    n = points.shape[0]
+    m = robots.shape[0]
+    a = np.empty(m)
+    floor2 = min_range * min_range
+    for i in range(n):
+        for q in range(m):
+            de = points[i, 0] - robots[q, 0]
+            dn = points[i, 1] - robots[q, 1]
+            a[q] = 0.5 * ten_beta * math.log10(max(de * de + dn * dn, floor2))
+        total = 0.0
+        for p in range(m):
+            if math.isnan(rss[p]):
+                continue
+            for q in range(m):
+                if math.isnan(rss[q]):
+                    total += _lookup(log_e10, a[q] - a[p] - (rss[p] - threshold), half_width, per_db)
+                elif p < q:
+                    total += _lookup(log_e11, a[q] - a[p] - (rss[p] - rss[q]), half_width, per_db)
+        out[i] = total
+
+
+@njit(cache=True, nogil=True)
+def spacing_entropy(
+    cells: FloatArray,
+    presence: FloatArray,
+    prior: FloatArray,
+    pairs: FloatArray,
+    levels: FloatArray,
+    ten_beta: float,
+    threshold: float,
+    min_range: float,
+    e11: FloatArray,
+    e10: FloatArray,
+    half_width: float,
+    per_db: float,
+    normalised: bool,
+) -> float:
+    """PRWA eq 26 for one spacing: the entropy (eq 25) summed over pair positions, power levels and source cells.
+
+    `cells` (n, 2) of the cluster, `presence` P(C_i) and `prior` P(C_i^1) there (n,), `pairs` (t, 2, 2) where the
+    two robots are, `levels` (g,) received dBm at 1 m; `e11`, `e10` are tables of E11 and E10 themselves. Where
+    neither robot hears the source, the belief stays as it is. A reading does not depend on the level where both
+    hear (delta is a difference), so that term is computed once.
+    """
+    n = cells.shape[0]
+    g = levels.shape[0]
+    a = np.empty((2, n))
+    post = np.empty(n)
+    unchanged = 0.0
+    norm = 0.0
+    for i in range(n):
+        norm += prior[i]
+    for i in range(n):
+        p = prior[i] / norm if normalised else presence[i]
+        if p > 1e-300:
+            unchanged -= p * math.log(p)
+    total = 0.0
+    for t in range(pairs.shape[0]):
+        for r in range(2):
+            for i in range(n):
+                de = cells[i, 0] - pairs[t, r, 0]
+                dn = cells[i, 1] - pairs[t, r, 1]
+                a[r, i] = 0.5 * ten_beta * math.log10(max(de * de + dn * dn, min_range * min_range))
+        for v in range(n):
+            both = -1.0
+            for w in range(g):
+                z0 = math.floor(levels[w] - a[0, v] + 0.5)
+                z1 = math.floor(levels[w] - a[1, v] + 0.5)
+                hear0 = z0 > threshold
+                hear1 = z1 > threshold
+                if not hear0 and not hear1:
+                    total += unchanged
+                    continue
+                if hear0 and hear1 and both >= 0.0:
+                    total += both
+                    continue
+                weight = 0.0
+                for i in range(n):
+                    if hear0 and hear1:
+                        like = _lookup(e11, a[1, i] - a[0, i] - (a[1, v] - a[0, v]), half_width, per_db)
+                    elif hear0:
+                        like = _lookup(e10, a[1, i] - a[0, i] - (z0 - threshold), half_width, per_db)
+                    else:
+                        like = _lookup(e10, a[0, i] - a[1, i] - (z1 - threshold), half_width, per_db)
+                    post[i] = like * prior[i]
+                    weight += post[i]
+                entropy = 0.0
+                for i in range(n):
+                    p1 = post[i] / max(weight, 1e-300)
+                    p = p1 if normalised else p1 + presence[i] * (1.0 - p1)
+                    if p > 1e-300:
+                        entropy -= p * math.log(p)
+                total += entropy
+                if hear0 and hear1:
+                    both = entropy
+    return total

@@ -192,22 +192,26 @@ def open_recording(path: Path | str) -> Recording:
 
 def _header(path: Path) -> dict[str, Any]:
     contents = Contents()
+    header = None
     for channel, message in walk(path, contents):
-        if channel.topic != HEADER.name:
+        header = json.loads(message.data) if channel.topic == HEADER.name else contents.header
+        if header is not None:
             break
-        header = json.loads(message.data)
-        schema = header.get("schema")
-        if schema is None or schema > SCHEMA:
-            raise RecordingError(
-                f"{path}: recording schema {schema} is newer than this fieldkit knows ({SCHEMA}); "
-                "update fieldkit"
-            )
-        return header
-    if contents.problems:
+    header = header or contents.header
+    if header is None and contents.problems:
         raise RecordingError(
-            f"{path}: its beginning cannot be read ({contents.problems[0]}); no part of it is usable"
+            f"{path}: its beginning cannot be read ({contents.problems[0]}); it is of no use"
         )
-    raise RecordingError(f"{path}: is MCAP but not a fieldkit recording (it has no {HEADER.name} message)")
+    if header is None:
+        raise RecordingError(
+            f"{path}: is MCAP but not a fieldkit recording (it has no {HEADER.name} message)"
+        )
+    schema = header.get("schema")
+    if not isinstance(schema, int) or schema > SCHEMA:
+        raise RecordingError(
+            f"{path}: recording schema {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
+        )
+    return header
 
 
 def _examine(recording: Recording) -> None:

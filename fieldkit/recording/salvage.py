@@ -5,6 +5,7 @@ agrees, and after damage looks for the next chunk: what it gives is either exact
 and every absence is named. Record layout: https://mcap.dev/spec.
 """
 
+import json
 import logging
 import os
 import struct
@@ -13,7 +14,7 @@ from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -24,6 +25,8 @@ from mcap.stream_reader import MAGIC_SIZE
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from fieldkit.errors import RecordingError
+from fieldkit.recording.codec import encode_value
+from fieldkit.recording.schema import HEADER, HEADER_COPY
 
 logger = logging.getLogger(__name__)
 
@@ -39,8 +42,17 @@ _MARK_OFFSET = _HEAD.size + 28
 NO_INDEX = "its index is damaged or absent; every message was read"
 _MAX_CHUNK_BYTES = 256 * 1024 * 1024
 _SKIPPED = {op.value for op in Opcode} - {Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER}
+_KNOWN = {op.value for op in Opcode}
 #: What damaged bytes make the library raise.
 _DAMAGE = (McapError, struct.error, ValueError, IndexError, KeyError, MemoryError, zstandard.ZstdError)
+
+
+class _BadChunk(ValueError):
+    """A chunk whose bytes are not what was written; `end` is where it says it ends."""
+
+    def __init__(self, end: int, text: str) -> None:
+        super().__init__(text)
+        self.end = end
 
 
 @dataclass(slots=True)
@@ -50,6 +62,8 @@ class Contents:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     attachments: list[Attachment] = field(default_factory=list)
+    header: dict[str, Any] | None = None
+    """From its second copy."""
     problems: list[str] = field(default_factory=list)
     """What is missing or damaged, in words."""
     orphans: int = 0
@@ -121,6 +135,10 @@ def _copy(path_in: Path, path_out: Path) -> tuple[list[str], int]:
         out = Writer(stream, chunk_size=64 * 1024, compression=CompressionType.ZSTD, enable_data_crcs=True)
         out.start(profile="fieldkit")
         for channel, message in walk(path_in, contents):
+            if not written and channel.topic != HEADER.name and contents.header is not None:
+                first = out.register_channel(HEADER.name, "json", 0)
+                out.add_message(first, message.log_time, encode_value(contents.header), message.log_time)
+                written += 1
             if channel.id not in channels:
                 schema = contents.schemas.get(channel.schema_id)
                 if schema is not None and schema.id not in schemas:
@@ -180,7 +198,7 @@ def _chunks(stream: BinaryIO, size: int, contents: Contents) -> Iterator[bytes]:
             position = end
         except (*_DAMAGE, EOFError) as error:
             failed.add(position)
-            following = _next_chunk(stream, good_until, failed)
+            following = _after(stream, error, size) or _next_chunk(stream, good_until, failed)
             contents.problems.append(_describe(error, position, following, size))
             if following is None:
                 return
@@ -202,12 +220,28 @@ def _record(
     if end > size:
         raise EOFError
     if opcode == Opcode.CHUNK:
-        return end, _verified(stream.read(length))
+        body = stream.read(length)
+        try:
+            return end, _verified(body)
+        except _DAMAGE as error:
+            raise _BadChunk(end, str(error)) from error
     if opcode == Opcode.ATTACHMENT:
         _keep_attachment(stream.read(length), contents)
     elif opcode not in _SKIPPED:
         raise ValueError(f"unknown record {opcode}")
     return end, None
+
+
+def _after(stream: BinaryIO, error: Exception, size: int) -> int | None:
+    """Where reading can go on after a chunk whose inside alone is damaged: what follows it makes sense."""
+    if not isinstance(error, _BadChunk):
+        return None
+    stream.seek(error.end)
+    head = stream.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return None
+    opcode, length = _HEAD.unpack(head)
+    return error.end if opcode in _KNOWN and error.end + _HEAD.size + length <= size else None
 
 
 def _describe(error: Exception, position: int, following: int | None, size: int) -> str:
@@ -279,7 +313,13 @@ def _keep_attachment(body: bytes, contents: Contents) -> None:
     if zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
         contents.problems.append("an attachment is damaged")
         return
-    contents.attachments.append(Attachment.read(ReadDataStream(BytesIO(body))))
+    attachment = Attachment.read(ReadDataStream(BytesIO(body)))
+    contents.attachments.append(attachment)
+    if attachment.name == HEADER_COPY:
+        copy = json.loads(attachment.data)
+        contents.header = copy["header"]
+        for number, topic in copy["channels"]:
+            contents.channels.setdefault(number, Channel(number, topic, "json", {}, 0))
 
 
 def _read(stream: BinaryIO, opcode: Opcode, parse: Callable[[ReadDataStream], T]) -> T:

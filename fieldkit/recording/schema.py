@@ -30,6 +30,8 @@ from fieldkit.messages import (
 
 SCHEMA = 1
 PROFILE = "fieldkit"
+HEADER_COPY = "header.json"
+"""Attachment with the header message once more, and the number of each of our channels."""
 Level = Literal["debug", "info", "warning", "error"]
 
 

@@ -7,6 +7,7 @@ fails stops the recording and says so in `failure`; it never stops the mission.
 import contextlib
 import logging
 import os
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -23,6 +24,7 @@ from fieldkit.recording import codec, viewer
 from fieldkit.recording.schema import (
     BY_KIND,
     HEADER,
+    HEADER_COPY,
     PROFILE,
     RESULT,
     SCHEMA,
@@ -40,6 +42,8 @@ CHUNK_NS = 500_000_000
 """A chunk is closed this long after its first message: with a tick every 0.2 s, under 1 s can be lost."""
 SYNC_NS = 5_000_000_000
 """Time between calls of fsync, which is what survives a power cut."""
+LOW_BYTES = 500_000_000
+"""With less space than this raw bytes, the largest part, are no longer recorded."""
 VIEW_NS = 200_000_000
 """Robots are shown at most this often; the exact poses are all in `/in/pose`."""
 _UINT64 = 2**64 - 1
@@ -90,6 +94,7 @@ class RecordingWriter:
         self._chunk_ns: int | None = None
         self._now_ns = self._sync_ns = start_ns
         self._closed = False
+        self._short_of_space = False
         header = {
             "schema": SCHEMA,
             "fieldkit": __version__,
@@ -107,7 +112,10 @@ class RecordingWriter:
             self._channels[topic.name] = self._mcap.register_channel(topic.name, "json", schema_id)
         self._add(HEADER.name, codec.encode_value(header), 0, self._now_ns, self._now_ns)
         close_chunk(self._mcap)
-        # Copies for other tools; ours read the message above, which a CRC protects in a cut file too.
+        # A second copy: one bad byte in the first chunk must not make a whole mission unreadable.
+        copy = {"header": header, "channels": [[number, name] for name, number in self._channels.items()]}
+        self._mcap.add_attachment(0, self._now_ns, HEADER_COPY, "application/json", codec.encode_value(copy))
+        # And for other tools; ours read what a CRC protects.
         self._mcap.add_metadata("fieldkit", {key: str(header[key]) for key in ("schema", "fieldkit")})
         for name in ("mission_toml", "antenna_toml"):
             if header[name]:
@@ -185,6 +193,8 @@ class RecordingWriter:
         topic = f"/raw/{link}"
 
         def add() -> None:
+            if self._short_of_space:
+                return
             if topic not in self._channels:
                 self._channels[topic] = self._mcap.register_channel(topic, "application/octet-stream", 0)
             self._add(topic, data, 0, log_time_ns, log_time_ns if heard_ns is None else heard_ns)
@@ -263,6 +273,14 @@ class RecordingWriter:
     def _sync(self) -> None:
         close_chunk(self._mcap)
         os.fsync(self._stream.fileno())
+        free = shutil.disk_usage(self.path.parent).free
+        if free < LOW_BYTES and not self._short_of_space:
+            self._short_of_space = True
+            logger.warning(
+                "%s: only %d MB are free: raw bytes are no longer recorded, everything else is",
+                self.path,
+                free // 1_000_000,
+            )
         self._chunk_ns, self._sync_ns = None, self._now_ns
 
     def _finish(self) -> None:

@@ -38,6 +38,8 @@ class Candidate:
     """Detection number to the probability that this source sent it."""
     absorbed: float = 0.0
     """Receptions whose likelihoods have been folded into the evidence for good."""
+    certain_since: float | None = None
+    """Receptions when its place first became certain enough, since it last was not."""
     state: str = "candidate"
     note: str = ""
 

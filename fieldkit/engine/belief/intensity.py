@@ -485,13 +485,26 @@ class IntensityBelief:
             enough = candidate.receptions >= self.settings.min_receptions - 0.1
             placed = summary.p_here >= (threshold if candidate.state != "found" else WITHDRAW * threshold)
             if not (enough and placed):
+                candidate.certain_since = None
                 if candidate.state == "found":
                     candidate.note = f"withdrawn: probability of being here fell to {summary.p_here:.2f}"
                 candidate.state = "candidate"
                 continue
+            if candidate.state == "candidate" and self._fresh_evidence(candidate):
+                continue
             doubt = self._doubt(candidate, summary)
             candidate.state = "doubtful" if doubt else "found"
             candidate.note = doubt
+
+    def _fresh_evidence(self, candidate: Candidate) -> bool:
+        """Whether this is the first look at which the place is certain enough: a find must outlast one reception.
+
+        The moment a probability first crosses a threshold is picked for being high; one more independent reception
+        that leaves it there is worth more than a higher threshold.
+        """
+        if candidate.certain_since is None:
+            candidate.certain_since = candidate.receptions
+        return candidate.receptions < candidate.certain_since + 0.7
 
     def _doubt(self, candidate: Candidate, summary: Summary) -> str:
         """Why the readings do not look like what the antenna file predicts; empty when they do."""

@@ -1,0 +1,165 @@
+"""The papers' belief: a spatiotemporal probability occupancy grid (PRWA eq 1 and 2, Algorithm 1).
+
+P(C_i^1) is the probability that cell i sent the present transmission, P(C_i) that it holds a source:
+P1_i = L_i pi_i / sum L pi, then P_i <- P1_i + P_i (1 - P1_i), in logs: log(1 - P) += log(1 - P1).
+
+The prior pi of the next transmission is where the printed recursion goes wrong (it feeds P1 back, which multiplies
+the likelihoods of different sources' transmissions), so the rule is chosen:
+
+- `literal`: pi <- P1, eq 2 as printed; right for one source;
+- `uniform`: pi = 1/n;
+- `dirichlet`: pi_i = (alpha/n + sum of P1_i so far) / (alpha + K), alpha = 5;
+- `em` (default): pi are the mixture weights of all stored events, which are re-attributed at each one; P can fall again.
+
+Silence is not evidence here: that is what the intensity belief adds.
+"""
+
+import hashlib
+
+import numpy as np
+from scipy import ndimage
+from scipy.special import logsumexp
+
+from fieldkit.engine.sensing.levels import LevelsModel
+from fieldkit.engine.sensing.pairwise import PairwiseModel
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.errors import ConfigError
+from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
+
+DIRICHLET_ALPHA = 5.0
+EM_SWEEPS = 5
+MAX_EVENTS = 2000
+"""`em` re-attributes at most this many events; older ones keep their last attribution."""
+RULES = ("literal", "uniform", "dirichlet", "em")
+EIGHT = np.ones((3, 3), dtype=int)
+"""Cells that touch at a corner are one component."""
+
+
+class SpogBelief:
+    """See the module. Arrays over the grid are flat inside, (n_north, n_east) outside."""
+
+    def __init__(self, settings: EngineSettings) -> None:
+        if settings.prior_rule not in RULES:
+            raise ConfigError(f"prior_rule: expected one of {', '.join(RULES)}, got {settings.prior_rule!r}")
+        self.settings = settings
+        self.grid = settings.grid
+        n = self.grid.n_cells
+        centres = self.grid.centres_m
+        if settings.sensing == "pairwise":
+            pairwise = PairwiseModel(settings.antenna, centres, self.grid.cell_m / 2)
+            self._likelihood = pairwise.log_likelihood
+        else:
+            levels = LevelsModel(settings.antenna, settings.power_levels_db, self.grid.cell_m / np.sqrt(12.0))
+            known = levels.n_known
+            self._likelihood = lambda d: np.asarray(
+                logsumexp(levels.log_likelihood(d, centres)[:known], axis=0) - np.log(known)
+            )
+        self.log_prior = np.full(n, -np.log(n))
+        """(n,) log pi of the next transmission."""
+        self.log_absent = np.zeros(n)
+        """(n,) log(1 - P(C_i))."""
+        self._sum_p1 = np.zeros(n)
+        self._events = 0
+        self._logs: list[FloatArray] = []
+        self._settled = np.zeros(n)
+        """`em`: sum of log(1 - r) of events no longer re-attributed."""
+        self._settled_p1 = np.zeros(n)
+
+    def detect(self, detection: Detection) -> None:
+        """Algorithm 1 for one transmission."""
+        self.update(self._likelihood(detection))
+
+    def update(self, log_likelihood: FloatArray) -> None:
+        """Take in the log-likelihood (n,) of one transmission over the cells; constants do not matter."""
+        n = self.grid.n_cells
+        self._events += 1
+        if self.settings.prior_rule == "em":
+            self._reattribute(log_likelihood)
+            return
+        log_p1 = _normalised(log_likelihood + self.log_prior)
+        p1 = np.exp(log_p1)
+        self.log_absent += np.log1p(-np.minimum(p1, 1.0 - 1e-16))
+        self._sum_p1 += p1
+        match self.settings.prior_rule:
+            case "literal":
+                self.log_prior = log_p1
+            case "uniform":
+                self.log_prior = np.full(n, -np.log(n))
+            case _:
+                rate = (DIRICHLET_ALPHA / n + self._sum_p1) / (DIRICHLET_ALPHA + self._events)
+                self.log_prior = np.log(rate)
+
+    def _reattribute(self, log_likelihood: FloatArray) -> None:
+        """EM over all stored events: pi are the mixture weights, r_ki the share of event k that cell i sent."""
+        self._logs.append(np.exp(log_likelihood - log_likelihood.max()))
+        likelihood = np.array(self._logs)
+        pi = np.exp(self.log_prior)
+        n = pi.size
+        for _ in range(EM_SWEEPS):
+            share = likelihood * pi
+            share /= share.sum(axis=1, keepdims=True)
+            # One pseudo-event spread over the field keeps every cell alive.
+            pi = (1.0 / n + self._settled_p1 + share.sum(axis=0)) / (1.0 + self._events)
+        self.log_prior = np.log(pi)
+        log_absent = np.log1p(-np.minimum(share, 1.0 - 1e-16))
+        self.log_absent = self._settled + log_absent.sum(axis=0)
+        if len(self._logs) > MAX_EVENTS:
+            self._logs.pop(0)
+            self._settled += log_absent[0]
+            self._settled_p1 += share[0]
+
+    def listen(self, listening: Listening) -> None:
+        """Silence says nothing in this belief."""
+
+    def presence(self) -> FloatArray:
+        """(n_north, n_east) P(C_i)."""
+        return (-np.expm1(self.log_absent)).reshape(self.grid.shape)
+
+    def activity(self) -> FloatArray:
+        """(n_north, n_east) the prior of the next transmission, P(C_i^1) before it is heard."""
+        return np.exp(self.log_prior).reshape(self.grid.shape)
+
+    def sources(self) -> list[SourceEstimate]:
+        """The 8-connected clusters of cells with P(C_i) > p_t, which the papers report cell by cell."""
+        presence, activity = self.presence(), self.activity()
+        labels, count = ndimage.label(presence > self.settings.found_probability, structure=EIGHT)
+        estimates = []
+        for label in range(1, count + 1):
+            rows, columns = np.nonzero(labels == label)
+            weight = activity[rows, columns]
+            weight = weight / weight.sum()
+            place = np.column_stack([self.grid.east_m[columns], self.grid.north_m[rows]])
+            mean = weight @ place
+            offset = place - mean
+            cov = (offset * weight[:, None]).T @ offset + np.eye(2) * self.grid.cell_m**2 / 12.0
+            best = int(np.argmax(presence[rows, columns]))
+            estimates.append(
+                SourceEstimate(
+                    ident=int(rows[best] * self.grid.n_east + columns[best]) + 1,
+                    east_m=float(mean[0]),
+                    north_m=float(mean[1]),
+                    cov_m2=cov,
+                    region_90=len(rows),
+                    receptions=float(activity[rows, columns].sum() * self._events),
+                    rate_hz=float("nan"),
+                    p_exists=float(presence[rows, columns].max()),
+                    p_here=float(presence[rows, columns].max()),
+                    state="found",
+                )
+            )
+        return estimates
+
+    def probability_left(self) -> float:
+        """Unknown: without silence as evidence, nothing bounds what was not heard."""
+        return 1.0
+
+    def digest(self) -> bytes:
+        """SHA-256 over prior, presence and count."""
+        state = hashlib.sha256(self.log_prior.tobytes())
+        state.update(self.log_absent.tobytes())
+        state.update(str(self._events).encode())
+        return state.digest()
+
+
+def _normalised(log_weights: FloatArray) -> FloatArray:
+    return np.asarray(log_weights - logsumexp(log_weights))

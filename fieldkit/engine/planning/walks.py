@@ -1,0 +1,121 @@
+"""The papers' baseline motions (PRWA section VII.A): random walks and patrols, in pairs or each robot alone.
+
+The papers give no step length or lane width, and both change the ranking, so they are stated here: a walk goes
+straight on a uniformly random heading for 0.2 to 0.6 of the field's shorter side, cut at the border; a patrol
+drives lanes two typical ranges apart, the teams spread evenly along the route.
+"""
+
+import math
+
+import numpy as np
+
+from fieldkit.engine.belief.base import Belief
+from fieldkit.engine.planning.base import Situation, abreast, waypoints
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import FloatArray, Plan, Waypoint
+
+LEGS = 3
+
+
+def typical_range_m(settings: EngineSettings) -> float:
+    """Nominal range at the median power level."""
+    return float(np.median(settings.antenna.nominal_range_m(np.array(settings.power_levels_db))))
+
+
+class PairRandomWalk:
+    """Each team walks at random as one, its robots one typical range abreast."""
+
+    alone = False
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self.settings = settings
+        self._rng = np.random.default_rng([settings.seed, 0x3A1])
+
+    def plan(self, situation: Situation, belief: Belief) -> Plan:
+        """Three legs for each team."""
+        paths: dict[str, tuple[Waypoint, ...]] = {}
+        for team in situation.teams:
+            groups = [(robot,) for robot in team] if self.alone else [team]
+            for group in groups:
+                start = np.array([situation.position_m[robot] for robot in group])
+                corners = random_corners(self.settings, start.mean(axis=0), self._rng)
+                paths |= steer(self.settings, group, start, corners, typical_range_m(self.settings))
+        return Plan(situation.t_ns, paths, dict.fromkeys(paths, "walk"))
+
+
+class RandomWalk(PairRandomWalk):
+    """Every robot walks at random on its own."""
+
+    alone = True
+
+
+def random_corners(settings: EngineSettings, here_m: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """(LEGS, 2) corners of a random walk from `here_m`."""
+    size = np.array([settings.grid.size_east_m, settings.grid.size_north_m])
+    corners = []
+    for _ in range(LEGS):
+        heading = rng.uniform(0.0, 2.0 * math.pi)
+        length = rng.uniform(0.2, 0.6) * size.min()
+        here_m = np.clip(here_m + length * np.array([math.sin(heading), math.cos(heading)]), 0.0, size)
+        corners.append(here_m)
+    return np.array(corners)
+
+
+def steer(
+    settings: EngineSettings, team: tuple[str, ...], start_m: FloatArray, corners_m: FloatArray, spacing_m: float
+) -> dict[str, tuple[Waypoint, ...]]:
+    """Way-points for a team that follows corners (k, 2) abreast."""
+    spacing = max(spacing_m, settings.min_separation_m)
+    places = abreast(corners_m, start_m, spacing, settings.grid, settings.fence_margin_m)
+    return dict(zip(team, waypoints(places, start_m, settings.max_speed_m_s), strict=True))
+
+
+class PairPatrol:
+    """Teams drive one fixed route of lanes over the whole field, spread evenly along it."""
+
+    alone = False
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self.settings = settings
+        self._route = lanes(settings)
+        groups = [(r,) for team in settings.teams for r in team] if self.alone else list(settings.teams)
+        self._next = {group: round(i / len(groups) * len(self._route)) for i, group in enumerate(groups)}
+
+    def plan(self, situation: Situation, belief: Belief) -> Plan:
+        """The next two corners of the route for each team."""
+        paths: dict[str, tuple[Waypoint, ...]] = {}
+        for team in situation.teams:
+            groups = [(robot,) for robot in team] if self.alone else [team]
+            for group in groups:
+                start = np.array([situation.position_m[robot] for robot in group])
+                at = self._advance(group, start.mean(axis=0))
+                corners = self._route[[(at + k) % len(self._route) for k in range(2)]]
+                paths |= steer(self.settings, group, start, corners, typical_range_m(self.settings))
+        return Plan(situation.t_ns, paths, dict.fromkeys(paths, "patrol"))
+
+    def _advance(self, group: tuple[str, ...], here_m: FloatArray) -> int:
+        """The corner to drive to: the next one once the present one is reached."""
+        at = self._next.setdefault(group, 0)
+        if np.hypot(*(self._route[at % len(self._route)] - here_m)) < 2.0 * typical_range_m(self.settings):
+            at += 1
+        self._next[group] = at % len(self._route)
+        return self._next[group]
+
+
+class Patrol(PairPatrol):
+    """Every robot drives the route on its own."""
+
+    alone = True
+
+
+def lanes(settings: EngineSettings) -> FloatArray:
+    """(k, 2) corners of a closed route of parallel lanes, two typical ranges apart."""
+    grid, margin = settings.grid, settings.fence_margin_m
+    width = 2.0 * typical_range_m(settings)
+    count = max(2, math.ceil(grid.size_east_m / width))
+    corners = []
+    for lane in range(count):
+        east = (lane + 0.5) / count * grid.size_east_m
+        ends = [margin, grid.size_north_m - margin]
+        corners += [(east, north) for north in (ends if lane % 2 == 0 else ends[::-1])]
+    return np.array(corners)

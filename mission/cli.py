@@ -1,0 +1,255 @@
+"""`fieldkit demo | run | replay | report | new | check`. Heavy imports stay inside the commands."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print the result alone, as JSON, on standard output.")
+]
+
+
+def _say(text: str) -> None:
+    typer.echo(text, err=True)
+
+
+def _print_json(value: Any) -> None:
+    typer.echo(json.dumps(value, indent=2, allow_nan=False, default=str))
+
+
+def demo(
+    seed: Annotated[int, typer.Option(help="Where the transmitters hide, and all other chance.")] = 7,
+    out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
+    rate: Annotated[float, typer.Option(min=0.1, max=20.0, help="Mission seconds per wall second.")] = 10.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one whole mission on emulated radios and rovers, through the real drivers.
+
+    Four robots in two pairs look for three hidden transmitters in a field of 10 m x 10 m.
+
+    Example: fieldkit demo --seed 7
+    """
+    from mission import demo as demonstration
+    from mission.analysis.report import write_report
+    from mission.console import Watch, result_table
+
+    folder = _run_folder(out)
+    _say(
+        f"calibrating the radios from {demonstration.example_readings().name}, then searching; files go to {folder}"
+    )
+    with Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
+        result = demonstration.run(folder, seed, rate=rate, on_progress=watch.show)
+    write_report(folder / "mission.mcap", folder / "report.html")
+    plain = result.plain(seed)
+    if as_json:
+        _print_json(plain | {"report": str(folder / "report.html")})
+        return
+    result_table(plain)
+    typer.echo(f"\nwritten: {folder}/{{mission.mcap, mission.toml, antenna.toml, report.html}}")
+    typer.echo(f"next:    fieldkit replay {folder}/mission.mcap")
+
+
+def run(
+    mission_file: Annotated[Path, typer.Argument(metavar="MISSION.TOML", help="The mission file.")],
+    out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
+    as_json: JsonOption = False,
+) -> None:
+    """Run a mission on your own radios and vehicles.
+
+    Ctrl-C holds all vehicles and closes the recording.
+
+    Example: fieldkit run mission.toml
+    """
+    from fieldkit.files import write_whole
+    from mission import rigs
+    from mission.analysis.report import write_report
+    from mission.config import read_mission
+    from mission.console import Watch, sources_table
+    from mission.demo import fly
+    from mission.warm import warm_up
+
+    mission = read_mission(mission_file)
+    rig = rigs.live(mission)
+    warm_up(mission)
+    folder = _run_folder(out)
+    write_whole(folder / "mission.toml", mission.text)
+    write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
+    _say(f"recording to {folder}/mission.mcap")
+    with Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
+        runner = fly(mission, rig, folder / "mission.mcap", watch.show)
+    write_report(folder / "mission.mcap", folder / "report.html")
+    finds = [_source(source) for source in runner.kernel.sources()]
+    if as_json:
+        _print_json(
+            runner.result()
+            | {
+                "sources": finds,
+                "recording": str(folder / "mission.mcap"),
+                "report": str(folder / "report.html"),
+            }
+        )
+        return
+    typer.echo(f"ended: {runner.end_reason}")
+    sources_table(finds)
+    typer.echo(f"written: {folder}/{{mission.mcap, mission.toml, report.html}}")
+
+
+def replay(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A recording (mission.mcap).")],
+    antenna: Annotated[Path | None, typer.Option(help="What if: another antenna file.")] = None,
+    belief: Annotated[str | None, typer.Option(help="What if: another belief.")] = None,
+    planner: Annotated[str | None, typer.Option(help="What if: another planner.")] = None,
+    until: Annotated[float | None, typer.Option(help="Stop after this many seconds of the mission.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Re-run the engine on a recording: the same belief and commands, or the first event that differs.
+
+    With --belief or --planner the recording's inbox is fed to another engine instead, and nothing is compared.
+    With --antenna the recorded results are compared with what the other antenna gives: exit code 1 if they differ.
+
+    Example: fieldkit replay runs/20260102T030405Z/mission.mcap
+    """
+    from fieldkit.antenna.file import read_antenna
+    from fieldkit.recording.reader import open_recording
+    from mission.console import sources_table
+    from mission.replay import recorded_mission, what_if
+    from mission.replay import replay as replay_log
+
+    recording = open_recording(log)
+    given = read_antenna(antenna) if antenna is not None else None
+    mission = recorded_mission(recording, given, antenna.read_text(encoding="utf-8") if antenna else "")
+    changed = belief is not None or planner is not None
+    if changed:
+        mission = what_if(mission, belief=belief, planner=planner)
+    done = replay_log(log, mission=mission, check=not changed, until_s=until)
+    plain = {
+        "recording": str(log),
+        "events": done.events,
+        "duration_s": round(done.duration_s, 3),
+        "identical": None if changed else True,
+        "complete": done.complete,
+        "missing": done.missing,
+        "belief_hash": done.kernel.digest(),
+        "commands_hash": done.kernel.commands_digest(),
+        "sources": [_source(source) for source in done.kernel.sources()],
+        "times_real_time": round(done.duration_s / max(done.wall_s, 1e-9), 1),
+    }
+    if as_json:
+        _print_json(plain)
+        return
+    if done.missing:
+        _say(f"note: the recording is not whole: {done.missing}")
+    verdict = "a what-if: nothing was compared" if changed else "the same belief and commands as recorded"
+    typer.echo(
+        f"{done.events} events, {done.duration_s:.0f} s of mission in {done.wall_s:.1f} s: {verdict}\n"
+        f"belief {plain['belief_hash'][:16]}  commands {plain['commands_hash'][:16]}"
+    )
+    sources_table(plain["sources"])
+
+
+def report(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A recording (mission.mcap).")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Where to write; default: beside the log.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write one offline HTML page on a recorded mission: map, what was found and how sure, what was heard when.
+
+    Example: fieldkit report runs/20260102T030405Z/mission.mcap -o report.html
+    """
+    from mission.analysis.report import write_report
+
+    target = out or log.with_name("report.html")
+    summary = write_report(log, target)
+    if as_json:
+        _print_json(summary | {"report": str(target)})
+    else:
+        typer.echo(f"written: {target}")
+
+
+def new(
+    path: Annotated[
+        Path, typer.Argument(metavar="MISSION.TOML", help="The file to write; never overwritten.")
+    ],
+) -> None:
+    """Write a commented mission.toml to start from.
+
+    Example: fieldkit new mission.toml
+    """
+    from fieldkit.errors import ConfigError
+    from fieldkit.files import write_whole
+    from mission.template import mission_text
+
+    if path.exists():
+        raise ConfigError(f"{path}: exists already; choose another name")
+    write_whole(path, mission_text(name=path.stem))
+    typer.echo(
+        f"written: {path}; set the field, the ports and the antenna file in it, then: fieldkit check {path}"
+    )
+
+
+def check(
+    mission_file: Annotated[Path, typer.Argument(metavar="MISSION.TOML", help="The mission file.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Say what is wrong with a mission file before anything moves.
+
+    Nothing is opened: for radios and vehicles that answer, plug in and 'fieldkit run'.
+
+    Example: fieldkit check mission.toml
+    """
+    from mission import rigs
+    from mission.advice import advise
+    from mission.config import read_mission
+
+    mission = read_mission(mission_file)
+    rigs.live(mission)  # drivers check their own options when they are made
+    advice = advise(mission)
+    if as_json:
+        _print_json({"mission": str(mission_file), "ok": True, "advice": advice})
+        return
+    engine = mission.kernel.engine
+    typer.echo(
+        f"{mission_file}: good. {len(engine.robots)} robots in {len(engine.teams)} teams, {engine.grid.n_east} x "
+        f"{engine.grid.n_north} cells, belief {mission.kernel.belief}, planner {mission.kernel.planner}"
+    )
+    for line in advice:
+        typer.echo(f"note: {line}")
+
+
+def _source(source: Any) -> dict[str, Any]:
+    """A source estimate as plain numbers."""
+    return {
+        "ident": source.ident,
+        "state": source.state,
+        "east_m": round(source.east_m, 3),
+        "north_m": round(source.north_m, 3),
+        "sigma_m": round(float((source.cov_m2[0, 0] + source.cov_m2[1, 1]) / 2) ** 0.5, 3),
+        "p_within_one_cell": round(source.p_here, 4),
+        "receptions": round(source.receptions, 2),
+        "rate_hz": round(source.rate_hz, 4),
+        "note": source.note,
+    }
+
+
+def _run_folder(out: Path) -> Path:
+    """A folder of its own for this run, named by the time (UTC)."""
+    from fieldkit.clock import utc_stamp
+
+    stamp = utc_stamp()
+    for suffix in ("", *(f"-{n}" for n in range(2, 1000))):
+        folder = out / f"{stamp}{suffix}"
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            from fieldkit.errors import ConfigError
+
+            raise ConfigError(f"{out}: cannot make a folder there: {error.strerror}") from error
+        return folder
+    raise AssertionError("a thousand runs within one second")

@@ -1,0 +1,1 @@
+"""Studies: many simulated missions, measured."""
