@@ -11,7 +11,7 @@ from typing import Any
 from fieldkit.errors import RecordingError
 from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate
 from fieldkit.recording import codec
-from fieldkit.recording.salvage import NO_INDEX, Contents, is_whole, walk
+from fieldkit.recording.records import NO_INDEX, Contents, is_whole, walk
 from fieldkit.recording.schema import BY_NAME, HEADER, SCHEMA, BeliefDigest, Note, Topic
 
 logger = logging.getLogger(__name__)

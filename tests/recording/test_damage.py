@@ -89,6 +89,20 @@ def test_data_after_a_damaged_chunk_is_still_read(tmp_path):
     assert "are missing" in recording.missing and recording.seconds_missing > 0
 
 
+def test_a_damaged_first_chunk_does_not_cost_the_mission(tmp_path):
+    path, out = record(tmp_path / "m.mcap"), tmp_path / "out.mcap"
+    data = bytearray(path.read_bytes())
+    data[data.index(b"\x04\x00\x00\x00zstd") + 100] ^= 1
+    path.write_bytes(data)
+    recording = open_recording(path)
+    assert recording.mission_toml == "a = 1\n" and "damaged" in recording.missing
+    assert len(list(recording.events())) == len(mission(3))
+    recover(path, out)
+    mended = open_recording(out)
+    assert mended.complete and mended.mission_toml == "a = 1\n"
+    assert len(list(mended.events())) == len(mission(3))
+
+
 def test_a_damaged_length_does_not_hide_the_chunks_it_skips(tmp_path):
     path = record(tmp_path / "m.mcap", seconds=3)
     data = bytearray(path.read_bytes())
