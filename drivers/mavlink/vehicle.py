@@ -9,8 +9,8 @@ from typing import Literal
 
 from drivers.mavlink.codec import Message, mavlink
 from drivers.mavlink.modes import PX4, Firmware, firmware_of
-from drivers.mavlink.timebase import TimeBase
 from drivers.mavlink.transport import Peer
+from drivers.timebase import TimeBase
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import Pose, VehicleMode, VehicleState
 

@@ -1,17 +1,13 @@
 """A robot's XBee as a `Receiver`: opens it, listens, notices when it is gone and takes it back."""
 
-import asyncio
-import contextlib
 import logging
-from collections.abc import AsyncIterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from digi.xbee.exception import InvalidOperatingModeException, XBeeException
 
-from drivers.handover import Handover
+from drivers.keeper import KeptReceiver
 from drivers.links import open_link
 from drivers.options import checked
 from drivers.xbee.decode import WITHOUT_RSSI, decode
@@ -19,13 +15,10 @@ from drivers.xbee.diagnose import why_silent
 from drivers.xbee.listen import FrameInterface, ListenOnly
 from drivers.xbee.settings import ModuleSettings, advice, read_settings, why_deaf
 from fieldkit.errors import DeviceError, DeviceTimeout
-from fieldkit.messages import ReceiverState, RssReading
+from fieldkit.messages import RssReading
 from fieldkit.ports import Surroundings
 
 logger = logging.getLogger(__name__)
-
-REOPEN_EVERY_S = 0.5
-"""Wall time between attempts to take an unplugged radio back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,84 +39,19 @@ def open_receiver(robot: str, options: Mapping[str, Any], around: Surroundings) 
     return XBeeReceiver(robot, checked(XBeeOptions, options, f"receiver of {robot} (xbee)"), around)
 
 
-class XBeeReceiver:
+class XBeeReceiver(KeptReceiver):
     """Entering opens the radio and checks its settings; readings come from then on until closed."""
 
     def __init__(self, robot: str, options: XBeeOptions, around: Surroundings) -> None:
-        self.robot = robot
+        super().__init__(robot, f"XBee of {robot}", around)
         self.settings: ModuleSettings | None = None
         """What the module said of itself when it was opened."""
         self.bad_readings = 0
         """Receptions without a usable strength: RSSI byte 0 or 255, or malformed."""
         self._options = options
-        self._clock = around.clock
         self._device: ListenOnly | None = None
-        self._listening = False
-        self._closed = False
-        self._overrun = 0
 
-    async def __aenter__(self) -> Self:
-        self._loop = asyncio.get_running_loop()
-        self._handover: Handover[RssReading | ReceiverState] = Handover()
-        self._lost = asyncio.Event()
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"xbee-{self.robot}")
-        try:
-            await self._in_worker(self._open_device, True)
-        except BaseException:
-            await self._shut()
-            raise
-        assert self.settings is not None
-        for line in advice(self.settings):
-            logger.warning("%s: XBee on %s: %s", self.robot, self._options.port, line)
-        self._keeper = asyncio.create_task(self._keep_open(), name=f"xbee-{self.robot}")
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._closed:
-            return
-        self._keeper.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await self._keeper
-        await self._shut()
-
-    async def readings(self) -> AsyncIterator[RssReading | ReceiverState]:
-        """Readings and changes of state, in order; the first is the state after opening. For one consumer."""
-        async for item in self._handover.items():
-            yield item
-
-    async def _in_worker(self, function: Any, *arguments: Any) -> None:
-        await self._loop.run_in_executor(self._worker, function, *arguments)
-
-    async def _shut(self) -> None:
-        self._closed = True
-        self._listening = False
-        # Queued behind whatever the worker is at, so a device opened after a cancellation is closed too.
-        await asyncio.shield(asyncio.ensure_future(self._in_worker(self._close_device)))
-        self._worker.shutdown(wait=True)
-        self._handover.close()
-
-    async def _keep_open(self) -> None:
-        """Take the radio back whenever it is lost."""
-        while True:
-            await self._lost.wait()
-            self._lost.clear()
-            logger.warning("%s: XBee on %s lost; trying to take it back", self.robot, self._options.port)
-            await self._in_worker(self._close_device)
-            last = ""
-            while not self._listening:
-                await asyncio.sleep(REOPEN_EVERY_S)
-                try:
-                    await self._in_worker(self._open_device, False)
-                except DeviceError as error:
-                    if str(error) != last:
-                        last = str(error)
-                        logger.info("%s", error)
-
-    # What follows runs in the worker thread.
-
-    def _open_device(self, first: bool) -> None:
+    def _open_device(self, first: bool) -> str:
         device = self._connect(diagnose=first)
         try:
             settings = self._accept(read_settings(device))
@@ -133,13 +61,11 @@ class XBeeReceiver:
         except BaseException:
             device.close()
             raise
-        if self._closed:
-            device.close()
-            return
         self._device, self.settings = device, settings
         self._saturation_dbm = self._options.saturation_dbm or settings.saturation_dbm
-        self._put(ReceiverState(self._clock.now_ns(), self.robot, True, settings.describe()))
-        self._listening = True
+        for line in advice(settings) if first else ():
+            logger.warning("%s: %s: %s", self._name, self._options.port, line)
+        return settings.describe()
 
     def _connect(self, *, diagnose: bool) -> ListenOnly:
         port, baud = self._options.port, self._options.baud
@@ -187,10 +113,6 @@ class XBeeReceiver:
         if device is not None:
             device.close()
 
-    @property
-    def _name(self) -> str:
-        return f"XBee of {self.robot}"
-
     # What follows runs in the library's reader thread.
 
     def _on_frame(self, t_ns: int, frame: bytes) -> None:
@@ -207,7 +129,7 @@ class XBeeReceiver:
                         "%s: a frame without RSSI (0x%02X): has AO been changed?", self._name, frame[3]
                     )
             return
-        self._put(
+        self._give(
             RssReading(
                 t_ns=t_ns,
                 robot=self.robot,
@@ -218,23 +140,3 @@ class XBeeReceiver:
                 saturated=heard.rss_dbm >= self._saturation_dbm,
             )
         )
-
-    def _on_lost(self, reason: str) -> None:
-        if not self._listening:
-            return
-        self._listening = False
-        self._put(ReceiverState(self._clock.now_ns(), self.robot, False, reason), always=True)
-        self._loop.call_soon_threadsafe(self._lost.set)
-
-    def _put(self, item: RssReading | ReceiverState, *, always: bool = False) -> None:
-        """Hand over; readings for which there is no room make the receiver count as down until there is."""
-        if self._overrun:
-            text = f"{self._overrun} readings lost: they came faster than they were taken"
-            if self._handover.put(ReceiverState(item.t_ns, self.robot, True, text)):
-                self._overrun = 0
-        if self._handover.put(item, always=always):
-            return
-        if not self._overrun:
-            text = "readings come faster than they are taken"
-            self._handover.put(ReceiverState(item.t_ns, self.robot, False, text), always=True)
-        self._overrun += 1

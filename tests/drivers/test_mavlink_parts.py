@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from drivers.mavlink.codec import Packer, Parser, mavlink
 from drivers.mavlink.modes import COPTER, PX4, ROVER, firmware_of, set_mode
-from drivers.mavlink.timebase import TimeBase
 from drivers.mavlink.vehicle import Vehicle
+from drivers.timebase import TimeBase
 from fieldkit.messages import Pose, VehicleState
 
 PEER = ("127.0.0.1", 5000)

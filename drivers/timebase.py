@@ -1,8 +1,8 @@
-"""A vehicle's boot clock mapped to mission time, by the messages that were least delayed.
+"""A device's own clock mapped to mission time, by the messages that were least delayed.
 
 Every message arrives late by the link's delay, so arrival minus boot time is the offset plus a delay that is
 never negative: the smallest difference of the last minute is nearest to the truth. A window, because the
-vehicle's crystal drifts (20 ppm is 1.2 ms a minute).
+device's crystal drifts (20 ppm is 1.2 ms a minute).
 """
 
 from collections import deque
@@ -12,7 +12,7 @@ BUCKETS = 12
 
 
 class TimeBase:
-    """Offset of one vehicle's boot clock. Times in nanoseconds."""
+    """Offset of one device's clock. Times in nanoseconds."""
 
     def __init__(self) -> None:
         self._buckets: deque[tuple[int, int]] = deque(maxlen=BUCKETS)
@@ -28,5 +28,5 @@ class TimeBase:
         return boot_ns + min(smallest for _, smallest in self._buckets)
 
     def clear(self) -> None:
-        """Forget: the vehicle has rebooted."""
+        """Forget: the device has restarted."""
         self._buckets.clear()

@@ -1,0 +1,139 @@
+"""The shell every radio driver shares: opens its device in a worker thread, takes it back when lost."""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import Any, Self
+
+from drivers.handover import Handover
+from fieldkit.errors import DeviceError
+from fieldkit.messages import ReceiverState, RssReading
+from fieldkit.ports import Surroundings
+
+logger = logging.getLogger(__name__)
+
+REOPEN_EVERY_S = 0.5
+"""Wall time between attempts to take a lost device back."""
+
+
+class KeptReceiver:
+    """A `Receiver` around a device that may go away.
+
+    A subclass opens and closes its device, and from its reader thread gives readings to `_give` and calls
+    `_on_lost` when the device is gone. `_name` names the device in errors.
+    """
+
+    def __init__(self, robot: str, name: str, around: Surroundings) -> None:
+        self.robot = robot
+        self._name = name
+        self._clock = around.clock
+        self._listening = False
+        self._closed = False
+        self._overrun = 0
+
+    def _open_device(self, first: bool) -> str:
+        """Open; what was opened, in words. In the worker thread. Raises `DeviceError`."""
+        raise NotImplementedError
+
+    def _close_device(self) -> None:
+        """Close whatever is open. In the worker thread."""
+        raise NotImplementedError
+
+    def _start(self) -> None:
+        """Called when readings are wanted: the device is open and has been announced."""
+
+    async def __aenter__(self) -> Self:
+        self._loop = asyncio.get_running_loop()
+        self._handover: Handover[RssReading | ReceiverState] = Handover()
+        self._lost = asyncio.Event()
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"receiver-{self.robot}")
+        try:
+            await self._in_worker(self._open_and_announce, True)
+        except BaseException:
+            await self._shut()
+            raise
+        self._keeper = asyncio.create_task(self._keep_open(), name=f"receiver-{self.robot}")
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._closed:
+            return
+        self._keeper.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await self._keeper
+        await self._shut()
+
+    async def readings(self) -> AsyncIterator[RssReading | ReceiverState]:
+        """Readings and changes of state, in order; the first is the state after opening. For one consumer."""
+        async for item in self._handover.items():
+            yield item
+
+    async def _in_worker(self, function: Callable[..., object], *arguments: Any) -> None:
+        await self._loop.run_in_executor(self._worker, function, *arguments)
+
+    async def _shut(self) -> None:
+        self._closed = True
+        self._listening = False
+        # Queued behind whatever the worker is at, so a device opened after a cancellation is closed too.
+        await asyncio.shield(asyncio.ensure_future(self._in_worker(self._close_device)))
+        self._worker.shutdown(wait=True)
+        self._handover.close()
+
+    async def _keep_open(self) -> None:
+        """Take the device back whenever it is lost."""
+        while True:
+            await self._lost.wait()
+            self._lost.clear()
+            logger.warning("%s: lost; trying to take it back", self._name)
+            await self._in_worker(self._close_device)
+            last = ""
+            while not self._listening:
+                await asyncio.sleep(REOPEN_EVERY_S)
+                try:
+                    await self._in_worker(self._open_and_announce, False)
+                except DeviceError as error:
+                    if str(error) != last:
+                        last = str(error)
+                        logger.info("%s", error)
+
+    def _open_and_announce(self, first: bool) -> None:
+        words = self._open_device(first)
+        if self._closed:
+            self._close_device()
+            return
+        self._put(ReceiverState(self._clock.now_ns(), self.robot, True, words))
+        self._listening = True
+        self._start()
+
+    # What follows runs in the reader thread.
+
+    def _give(self, reading: RssReading) -> None:
+        """Hand over a reading; nothing before the device is announced, nothing after it was lost."""
+        if self._listening:
+            self._put(reading)
+
+    def _on_lost(self, reason: str) -> None:
+        """The device is gone: its silence means nothing from now on."""
+        if not self._listening:
+            return
+        self._listening = False
+        self._put(ReceiverState(self._clock.now_ns(), self.robot, False, reason), always=True)
+        self._loop.call_soon_threadsafe(self._lost.set)
+
+    def _put(self, item: RssReading | ReceiverState, *, always: bool = False) -> None:
+        """Hand over; readings for which there is no room make the receiver count as down until there is."""
+        if self._overrun:
+            text = f"{self._overrun} readings lost: they came faster than they were taken"
+            if self._handover.put(ReceiverState(item.t_ns, self.robot, True, text)):
+                self._overrun = 0
+        if self._handover.put(item, always=always):
+            return
+        if not self._overrun:
+            text = "readings come faster than they are taken"
+            self._handover.put(ReceiverState(item.t_ns, self.robot, False, text), always=True)
+        self._overrun += 1
