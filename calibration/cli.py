@@ -192,3 +192,46 @@ def import_(
             out.unlink()
         raise
     typer.echo(f"{out}: {int((~data.missed).sum())} readings, {int(data.missed.sum())} missed packets")
+
+
+@app.command()
+def collect(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="The CSV to fill; an unfinished one is gone on with.")
+    ],
+    receiver: Annotated[str, typer.Option(help="Receiver driver, as in mission.toml.")] = "xbee",
+    setting: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Option of the driver, as port=/dev/ttyUSB0; repeatable."),
+    ] = None,
+    name: Annotated[str, typer.Option(help="What to call this receiver in the file.")] = "r1",
+    period_s: Annotated[float, typer.Option(help="Time between the transmitter's packets.")] = 0.5,
+    packets: Annotated[int, typer.Option(min=1, help="Packets to wait for at each place.")] = 20,
+    source: Annotated[str, typer.Option(help="The transmitter's address; empty counts every sender.")] = "",
+    record: Annotated[Path | None, typer.Option(help="Also record everything heard (MCAP).")] = None,
+) -> None:
+    """Collect readings place by place with a real receiver, counting the packets that do not arrive.
+
+    Example: fieldkit calibrate collect -o readings.csv --set port=/dev/ttyUSB0 --period-s 0.5
+    """
+    import asyncio
+    from contextlib import nullcontext
+
+    from calibration.collect import Beacon
+    from calibration.collect import collect as run
+    from fieldkit import plugins
+    from fieldkit.clock import RealClock
+    from fieldkit.geo import FieldFrame
+    from fieldkit.ports import Surroundings
+    from fieldkit.recording import RecordingWriter
+
+    if period_s <= 0.0:
+        raise ConfigError(f"--period-s: expected a time above zero, got {period_s}")
+    clock = RealClock()
+    opened = plugins.load("fieldkit.receivers", receiver)(
+        name, _pairs(setting), Surroundings(clock, FieldFrame(0.0, 0.0))
+    )
+    beacon = Beacon(period_s, packets, source)
+    with RecordingWriter(record, start_ns=clock.now_ns()) if record else nullcontext() as recorder:
+        places = asyncio.run(run(opened, clock, beacon, out, typer.prompt, typer.echo, recorder))
+    typer.echo(f"{out}: {len(places)} places; now: fieldkit calibrate fit {out} -o antenna.toml")

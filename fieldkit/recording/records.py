@@ -39,7 +39,15 @@ _MAX_CHUNK_BYTES = 256 * 1024 * 1024
 _SKIPPED = {op.value for op in Opcode} - {Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER}
 _KNOWN = {op.value for op in Opcode}
 #: What damaged bytes make the library raise.
-_DAMAGE = (McapError, struct.error, ValueError, IndexError, KeyError, MemoryError, zstandard.ZstdError)
+_DAMAGE = (
+    McapError,
+    struct.error,
+    ValueError,
+    LookupError,
+    OverflowError,
+    MemoryError,
+    zstandard.ZstdError,
+)
 
 
 class _BadChunk(ValueError):

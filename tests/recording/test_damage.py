@@ -112,6 +112,17 @@ def test_a_damaged_length_does_not_hide_the_chunks_it_skips(tmp_path):
     assert len(list(open_recording(path).events())) > len(mission(3)) / 2
 
 
+@pytest.mark.parametrize("bit", range(64))
+def test_no_size_inside_a_chunk_is_believed(tmp_path, bit):
+    path = record(tmp_path / "m.mcap", seconds=1)
+    data = bytearray(path.read_bytes())
+    # The length of the compressed data stands right after the name of the compression.
+    mark = data.index(b"\x04\x00\x00\x00zstd", 2500) + 8
+    data[mark + bit // 8] ^= 1 << bit % 8
+    path.write_bytes(data)
+    assert read(path)[1]
+
+
 def test_recovering_gives_a_whole_file_with_all_that_was_intact(tmp_path, recorded):
     whole = recorded.read_bytes()
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
