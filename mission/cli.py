@@ -221,6 +221,23 @@ def check(
         typer.echo(f"note: {line}")
 
 
+def bench(
+    name: Annotated[str, typer.Argument(help="Which benchmark, or all.")] = "all",
+) -> None:
+    """Measure the figures the documentation quotes, as JSON.
+
+    Example: fieldkit bench spog
+    """
+    from fieldkit import plugins
+
+    wanted = plugins.names("fieldkit.benchmarks") if name == "all" else [name]
+    results = {}
+    for each in wanted:
+        _say(f"measuring {each} ...")
+        results[each] = plugins.load("fieldkit.benchmarks", each)()
+    _print_json(results)
+
+
 def _source(source: Any) -> dict[str, Any]:
     """A source estimate as plain numbers."""
     return {

@@ -49,6 +49,8 @@ class KernelSettings:
     """End when this many are found; None where nobody knows."""
     stop_probability_left: float | None = None
     """End when the probability that a source is left falls below this."""
+    idle_limit_s: float = 120.0
+    """End when no robot could be steered for this long: somebody has to look."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,7 @@ class Kernel:
         self.detections = 0
         self._errands: dict[tuple[str, ...], _Errand] = {}
         self._next_plan_ns: int | None = None
+        self._steered_ns: int | None = None
         self._commands_digest = hashlib.sha256()
         self._sources: list[SourceEstimate] | None = None
 
@@ -177,6 +180,10 @@ class Kernel:
             return NOTHING
         if self.started_ns is None:
             self.started_ns = now_ns
+        teams = self._teams()
+        held = any(robot.held for robot in self.robots.values())
+        if teams or held or self._steered_ns is None:
+            self._steered_ns = now_ns  # a hold by the operator may last
         notes: list[str] = []
         detections, stretches = self.associator.advance(now_ns)
         for stretch in stretches:
@@ -193,9 +200,9 @@ class Kernel:
         plan = None
         commands: list[Command] = []
         due = self._next_plan_ns is None or now_ns >= self._next_plan_ns or found_more
-        idle = [team for team in self._teams() if team not in self._errands]
+        idle = tuple(team for team in teams if team not in self._errands)
         if due or idle:
-            plan = self._plan(now_ns, self._teams() if due else tuple(idle))
+            plan = self._plan(now_ns, teams if due else idle)
             if due:
                 self._next_plan_ns = now_ns + round(self.settings.engine.planning_period_s * 1e9)
         commands += self._follow(now_ns)
@@ -223,6 +230,8 @@ class Kernel:
     def _finished(self, now_ns: int) -> str:
         if self.elapsed_s(now_ns) >= self.settings.max_duration_s:
             return f"time is up ({self.settings.max_duration_s:.0f} s)"
+        if self._steered_ns is not None and (now_ns - self._steered_ns) * 1e-9 > self.settings.idle_limit_s:
+            return f"no robot could be steered for {self.settings.idle_limit_s:.0f} s"
         wanted = self.settings.sources_expected
         if wanted is not None and len(self.found_at_s) >= wanted:
             return f"all {wanted} expected sources are found"

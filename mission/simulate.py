@@ -4,12 +4,14 @@ The world's robots drive with limited speed and turn rate, its channel rounds, l
 the antenna says. The kernel and safety are the ones of a live mission.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from fieldkit.antenna.model import Antenna
 from fieldkit.messages import (
+    Command,
     EndMission,
     Event,
     FloatArray,
@@ -24,7 +26,7 @@ from fieldkit.messages import (
 from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.rover import Rover
 from fieldkit.world.sources import TransientSource, Transmissions
-from mission.kernel import Kernel, KernelSettings
+from mission.kernel import Kernel, KernelSettings, Outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +59,19 @@ class Result:
     """Finds further than two cells from every source, at the end."""
 
 
-def simulate(settings: KernelSettings, truth: Truth, seed: int, *, step_s: float = 0.5) -> Result:
-    """Run a mission to its end. Everything random derives from `seed`."""
+def simulate(
+    settings: KernelSettings,
+    truth: Truth,
+    seed: int,
+    *,
+    step_s: float = 0.5,
+    on_step: Callable[[Kernel, Event, Outcome], Iterable[Command]] | None = None,
+) -> Result:
+    """Run a mission to its end. Everything random derives from `seed`.
+
+    `on_step` sees every event with its outcome and gives the commands that are carried out: where safety or a
+    recorder is put in.
+    """
     kernel = Kernel(settings)
     rng_traffic, rng_channel, rng_pose = (np.random.default_rng([seed, k]) for k in range(3))
     robots = settings.engine.robots
@@ -104,7 +117,8 @@ def simulate(settings: KernelSettings, truth: Truth, seed: int, *, step_s: float
         inbox.append(Tick(round(t_s * 1e9)))
         for event in inbox:
             outcome = kernel.step(event)
-            for command in outcome.commands:
+            commands = outcome.commands if on_step is None else on_step(kernel, event, outcome)
+            for command in commands:
                 match command:
                     case GoTo(_, robot, waypoint):
                         rovers[robot].go_to(waypoint.east_m, waypoint.north_m, waypoint.speed_m_s)

@@ -33,6 +33,7 @@ def mission_text(
     expected: float = 4.0,
     planning_period_s: float = 30.0,
     window_s: float = 0.1,
+    found_probability: float = 0.9,
     max_duration_s: float = 3600.0,
     sources_found: int | None = None,
     fence_margin_m: float = 0.5,
@@ -77,7 +78,7 @@ expected = {expected:.1f}               # roughly how many there may be; not a l
 [engine]
 belief = "intensity"
 planner = "infogain"
-found_probability = 0.9      # of being within one cell of the estimate
+found_probability = {found_probability}      # of being within one cell of the estimate
 min_receptions = 4
 planning_period_s = {planning_period_s:.1f}
 pose_sigma_m = 0.05          # of each coordinate of the robots' positions

@@ -250,7 +250,7 @@ def path_information(
     out /= points.shape[0]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
 def _lookup(table: FloatArray, x: float, half_width: float, per_db: float) -> float:
     """Linear interpolation in a table over [-half_width, half_width]."""
     at = (x + half_width) * per_db
@@ -263,7 +263,7 @@ def _lookup(table: FloatArray, x: float, half_width: float, per_db: float) -> fl
     return (1.0 - share) * table[k] + share * table[k + 1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy")
 def pairwise_loglik(
     points: FloatArray,
     robots: FloatArray,
@@ -280,22 +280,40 @@ def pairwise_loglik(
     """out (n,): PRWA Theorem 1 (eq 19) in logs, one logarithm per robot and point, one look-up per pair and point."""
     n = points.shape[0]
     m = robots.shape[0]
-    a = np.empty(m)
+    factor = 0.5 * ten_beta / math.log(10.0) * per_db
     floor2 = min_range * min_range
+    # The pairs and their offsets in the tables, once for all points.
+    first = np.empty(m * m, dtype=np.int64)
+    second = np.empty(m * m, dtype=np.int64)
+    offset = np.empty(m * m)
+    silent = np.empty(m * m, dtype=np.bool_)
+    count = 0
+    for p in range(m):
+        if math.isnan(rss[p]):
+            continue
+        for q in range(m):
+            other_silent = math.isnan(rss[q])
+            if other_silent or p < q:
+                first[count], second[count], silent[count] = p, q, other_silent
+                delta = rss[p] - threshold if other_silent else rss[p] - rss[q]
+                offset[count] = (half_width - delta) * per_db
+                count += 1
+    top = log_e11.shape[0] - 2
+    a = np.empty(m)
     for i in range(n):
         for q in range(m):
             de = points[i, 0] - robots[q, 0]
             dn = points[i, 1] - robots[q, 1]
-            a[q] = 0.5 * ten_beta * math.log10(max(de * de + dn * dn, floor2))
+            a[q] = factor * math.log(max(de * de + dn * dn, floor2))
         total = 0.0
-        for p in range(m):
-            if math.isnan(rss[p]):
-                continue
-            for q in range(m):
-                if math.isnan(rss[q]):
-                    total += _lookup(log_e10, a[q] - a[p] - (rss[p] - threshold), half_width, per_db)
-                elif p < q:
-                    total += _lookup(log_e11, a[q] - a[p] - (rss[p] - rss[q]), half_width, per_db)
+        for k in range(count):
+            at = min(max(a[second[k]] - a[first[k]] + offset[k], 0.0), top + 0.999999)
+            index = int(at)
+            share = at - index
+            if silent[k]:
+                total += log_e10[index] + share * (log_e10[index + 1] - log_e10[index])
+            else:
+                total += log_e11[index] + share * (log_e11[index + 1] - log_e11[index])
         out[i] = total
 
 

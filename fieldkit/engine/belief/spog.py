@@ -86,8 +86,7 @@ class SpogBelief:
             case "uniform":
                 self.log_prior = np.full(n, -np.log(n))
             case _:
-                rate = (DIRICHLET_ALPHA / n + self._sum_p1) / (DIRICHLET_ALPHA + self._events)
-                self.log_prior = np.log(rate)
+                self.log_prior = np.log((DIRICHLET_ALPHA / n + self._sum_p1) / (DIRICHLET_ALPHA + self._events))
 
     def _reattribute(self, log_likelihood: FloatArray) -> None:
         """EM over all stored events: pi are the mixture weights, r_ki the share of event k that cell i sent."""
@@ -162,4 +161,5 @@ class SpogBelief:
 
 
 def _normalised(log_weights: FloatArray) -> FloatArray:
-    return np.asarray(log_weights - logsumexp(log_weights))
+    shifted = log_weights - log_weights.max()
+    return np.asarray(shifted - np.log(np.exp(shifted).sum()))

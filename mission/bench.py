@@ -1,0 +1,184 @@
+"""`fieldkit bench`: the figures the documentation quotes, as JSON, each a ratio within one run where it can be.
+
+A benchmark is a function without arguments that returns plain values, found by name in `fieldkit.benchmarks`.
+"""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr
+
+from fieldkit.antenna.model import Antenna
+from fieldkit.clock import wall_s
+from fieldkit.engine.belief.spog import SpogBelief
+from fieldkit.engine.grid import Grid
+from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.prwa import PrwaPlanner
+from fieldkit.engine.sensing.pairwise import RANGE_DB, STEP_DB, attenuation_db, tables
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import Detection, FloatArray
+
+
+def median_s(action: Callable[[], Any], repeats: int = 21) -> float:
+    """Median wall time of a call, after one that is not counted."""
+    action()
+    times = []
+    for _ in range(repeats):
+        began = wall_s()
+        action()
+        times.append(wall_s() - began)
+    return float(np.median(times))
+
+
+def settings(*, cells: int = 50, pairs: int = 3, prior_rule: str = "dirichlet", sensing: str = "pairwise") -> EngineSettings:
+    """The PRWA paper's simulated field: 25 m with 50 x 50 cells, five power levels 2 dB apart."""
+    exponent, threshold = 2.53, -90.0
+    antenna = Antenna(exponent, threshold + 10 * exponent * np.log10(3.45), 3.3, threshold)
+    return EngineSettings(
+        Grid(cells * 0.5, cells * 0.5, 0.5),
+        antenna,
+        tuple((f"r{2 * k}", f"r{2 * k + 1}") for k in range(pairs)),
+        (-8.0, -6.0, -4.0, -2.0, 0.0),
+        prior_rule=prior_rule,
+        sensing=sensing,
+    )
+
+
+def random_detection(engine: EngineSettings, rng: np.random.Generator, hearing: int) -> Detection:
+    """A transmission that the first `hearing` robots heard, all robots within a few metres of each other."""
+    size = engine.grid.size_east_m
+    robots = engine.robots
+    position = rng.uniform(0.4 * size, 0.4 * size + 6.0, (len(robots), 2))
+    rss = np.where(np.arange(len(robots)) < hearing, np.floor(rng.uniform(-88, -70, len(robots))), np.nan)
+    return Detection(0, robots, position, np.zeros(len(robots)), rss, np.zeros(len(robots), dtype=bool))
+
+
+def pairwise_numpy(
+    points_m: FloatArray, detection: Detection, antenna: Antenna, min_range_m: float, *, by_table: bool = False
+) -> FloatArray:
+    """(n,) Theorem 1 in plain numpy: the twin the compiled kernel is measured against.
+
+    As one writes it from the paper, with the integral of eq 12 in closed form (the integral of Phi is
+    u Phi(u) + phi(u)); or, `by_table`, by the kernel's own tables with `np.interp`.
+    """
+    log_e11, log_e10 = tables(antenna.sigma_db)
+    grid_db = np.arange(-RANGE_DB, RANGE_DB + STEP_DB, STEP_DB)
+    scale = np.sqrt(2.0) * antenna.sigma_db
+
+    def integral(u: FloatArray) -> FloatArray:
+        return np.asarray(u * ndtr(u) + np.exp(-0.5 * u * u) / np.sqrt(2.0 * np.pi))
+
+    a = attenuation_db(points_m, detection.position_m, antenna.path_loss_exponent, min_range_m)
+    z = detection.rss_dbm
+    total = np.zeros(points_m.shape[0])
+    for p in range(len(z)):
+        for q in range(len(z)):
+            if np.isnan(z[p]) or p == q:
+                continue
+            if np.isnan(z[q]):
+                x = a[q] - a[p] - (z[p] - antenna.threshold_dbm)
+                if by_table:
+                    total += np.interp(x, grid_db, log_e10)
+                else:
+                    left = 1.0 - scale * (integral((1.0 - x) / scale) - integral(-x / scale))
+                    total += np.log(np.maximum(left, 1e-300))
+            elif p < q:
+                x = a[q] - a[p] - (z[p] - z[q])
+                if by_table:
+                    total += np.interp(x, grid_db, log_e11)
+                else:
+                    inside = ndtr((1.0 - x) / scale) - ndtr((-1.0 - x) / scale)
+                    total += np.log(np.maximum(inside, 1e-300))
+    return total
+
+
+def spog_numpy(
+    points_m: FloatArray,
+    detection: Detection,
+    engine: EngineSettings,
+    log_prior: FloatArray,
+    log_absent: FloatArray,
+    *,
+    by_table: bool = False,
+) -> tuple[FloatArray, FloatArray]:
+    """One SPOG update in plain numpy, Dirichlet rule aside: P1 and log(1 - P)."""
+    log = pairwise_numpy(points_m, detection, engine.antenna, engine.grid.cell_m / 2, by_table=by_table) + log_prior
+    p1 = np.exp(log - log.max())
+    p1 /= p1.sum()
+    return p1, log_absent + np.log1p(-np.minimum(p1, 1.0 - 1e-16))
+
+
+def spog() -> dict[str, Any]:
+    """One SPOG update, 2,500 cells and 6 robots of which 3 hear, against the plain numpy twin in the same run."""
+    engine = settings()
+    detection = random_detection(engine, np.random.default_rng(1), 3)
+    belief = SpogBelief(engine)
+    points = engine.grid.centres_m
+    log_prior, log_absent = belief.log_prior.copy(), belief.log_absent.copy()
+    fast = median_s(lambda: belief.detect(detection), 101)
+    plain = median_s(lambda: spog_numpy(points, detection, engine, log_prior, log_absent))
+    tabled = median_s(lambda: spog_numpy(points, detection, engine, log_prior, log_absent, by_table=True))
+    return {
+        "update_ms": 1e3 * fast,
+        "numpy_twin_ms": 1e3 * plain,
+        "times_faster": plain / fast,
+        "numpy_with_our_tables_ms": 1e3 * tabled,
+        "times_faster_than_with_tables": tabled / fast,
+        "cells": 2500,
+        "robots": 6,
+    }
+
+
+def plan() -> dict[str, Any]:
+    """One PRWA plan with entropy spacing: 3 pairs, three clusters of about 250 cells."""
+    engine = settings()
+    belief = SpogBelief(engine)
+    presence = np.zeros(engine.grid.shape)
+    for row, column in ((8, 8), (8, 40), (40, 25)):
+        presence[row - 8 : row + 8, column - 8 : column + 8] = 0.2
+    belief.log_absent = np.log1p(-presence.ravel())
+    belief.log_prior = np.log((presence.ravel() + 1e-6) / (presence + 1e-6).sum())
+    planner = PrwaPlanner(engine)
+    place = {robot: (3.0 + 3.0 * k, 12.0) for k, robot in enumerate(engine.robots)}
+    situation = Situation(0, place, engine.teams, {})
+    return {"plan_ms": 1e3 * median_s(lambda: planner.plan(situation, belief), 5), "pairs": 3, "cells_per_cluster": 256}
+
+
+def kernel() -> dict[str, Any]:
+    """Simulated seconds per wall second of the kernel loop: the default engine, 6 robots, 4 sources, 600 s."""
+    from fieldkit.world.sources import random_sources
+    from mission.kernel import KernelSettings
+    from mission.simulate import Truth, simulate
+
+    engine = settings(prior_rule="em", sensing="levels")
+    sources = tuple(random_sources(4, 25.0, 25.0, engine.power_levels_db, 0.05, np.random.default_rng(5)))
+    truth = Truth(engine.antenna, sources, tuple((2.0 + 2.0 * k, 1.0) for k in range(6)))
+    run = KernelSettings(engine, max_duration_s=600.0, sources_expected=99)
+    simulate(run, truth, 0)
+    began = wall_s()
+    result = simulate(run, truth, 1)
+    took = wall_s() - began
+    return {
+        "simulated_s_per_wall_s": result.elapsed_s / took,
+        "simulated_s": result.elapsed_s,
+        "detections": result.kernel.detections,
+    }
+
+
+def replay() -> dict[str, Any]:
+    """Replay of a recorded simulated mission of 600 s with 4 robots: times real time."""
+    from mission.replay import replay as replay_log
+    from mission.synthetic import record_simulated
+
+    with tempfile.TemporaryDirectory() as folder:
+        log = record_simulated(Path(folder), seed=3, duration_s=600.0)
+        done = replay_log(log)
+        return {
+            "times_real_time": done.duration_s / done.wall_s,
+            "events_per_s": done.events / done.wall_s,
+            "events": done.events,
+            "size_mb": log.stat().st_size / 1e6,
+        }

@@ -1,0 +1,100 @@
+"""A small mission in virtual time, recorded: for tests, benchmarks and examples that need a recording at once."""
+
+from pathlib import Path
+
+import numpy as np
+
+from fieldkit.antenna.file import AntennaFile, dump_antenna
+from fieldkit.antenna.model import Antenna
+from fieldkit.files import write_whole
+from fieldkit.messages import Command, Event
+from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.sources import random_sources
+from mission.config import Mission, read_mission
+from mission.kernel import Kernel, Outcome, state_digest
+from mission.rigs import start_places
+from mission.safety import Safety
+from mission.simulate import Truth, simulate
+from mission.template import TemplateRobot, mission_text
+
+ANTENNA = Antenna(2.53, -62.0, 3.3, -70.0, -36.0)
+LEVELS_DB = (-8.0, -6.0, -4.0, -2.0, 0.0)
+
+
+def small_mission(folder: Path, *, seed: int = 1, duration_s: float = 120.0, robots: int = 4) -> Mission:
+    """A 10 m x 10 m mission in `folder` (mission.toml, antenna.toml), checked."""
+    write_whole(folder / "antenna.toml", dump_antenna(AntennaFile(ANTENNA)))
+    text = mission_text(
+        name="synthetic",
+        seed=seed,
+        size_m=10.0,
+        cell_m=0.2,
+        rate_hz=0.1,
+        expected=3.0,
+        planning_period_s=20.0,
+        max_duration_s=duration_s,
+        fence_margin_m=0.2,
+        min_separation_m=0.5,
+        robots=[TemplateRobot(f"r{k}", f"port{k}", "udpin:127.0.0.1:14550", k) for k in range(1, robots + 1)],
+    )
+    write_whole(folder / "mission.toml", text)
+    return read_mission(folder / "mission.toml")
+
+
+def record_simulated(folder: Path, *, seed: int = 1, duration_s: float = 120.0, robots: int = 4) -> Path:
+    """Simulate and record such a mission with three sources; the recording's path."""
+    mission = small_mission(folder, seed=seed, duration_s=duration_s, robots=robots)
+    sources = tuple(random_sources(3, 10.0, 10.0, LEVELS_DB, 0.1, np.random.default_rng([seed, 7])))
+    truth = Truth(ANTENNA, sources, tuple(start_places(mission).values()))
+    path = folder / "mission.mcap"
+    safety = Safety(mission.safety)
+    number = 0
+    last_belief_ns = 0
+    with RecordingWriter(
+        path,
+        mission_toml=mission.text,
+        antenna_toml=mission.antenna_text,
+        metadata={"mission": "synthetic", "truth": [{"east_m": s.east_m, "north_m": s.north_m} for s in sources]},
+        frame=mission.frame,
+    ) as recorder:
+
+        def note(kernel: Kernel, event: Event, outcome: Outcome) -> list[Command]:
+            nonlocal number, last_belief_ns
+            number += 1
+            recorder.event(number, event.t_ns, event)
+            allowed = safety.observe(event)
+            for command in allowed:
+                recorder.command(number, event.t_ns, command, "safety")
+            for command in outcome.commands:
+                recorder.command(number, event.t_ns, command, "kernel")
+                allowed.append(safety.allow(command))
+                recorder.command(number, event.t_ns, allowed[-1], "safety")
+            for detection in outcome.detections:
+                recorder.detection(number, event.t_ns, detection)
+            if outcome.plan is not None:
+                recorder.plan(number, event.t_ns, outcome.plan)
+            if outcome.detections:
+                recorder.sources(number, event.t_ns, kernel.sources())
+                recorder.belief(number, event.t_ns, digest=kernel.digest())
+            if event.t_ns - last_belief_ns >= 10_000_000_000:
+                last_belief_ns = event.t_ns
+                left = kernel.belief.probability_left()
+                recorder.belief(
+                    number, event.t_ns, kernel.belief.presence(), cell_m=0.2, digest=kernel.digest(),
+                    numbers={"probability_left": left},
+                )  # fmt: skip
+            return allowed
+
+        result = simulate(mission.kernel, truth, seed, on_step=note)
+        end_ns = round(result.elapsed_s * 1e9)
+        recorder.result(
+            number,
+            end_ns,
+            {
+                "end_reason": result.end_reason,
+                "belief_hash": result.kernel.digest(),
+                "commands_hash": result.kernel.commands_digest(),
+                "state_hash": state_digest(result.kernel),
+            },
+        )
+    return path
