@@ -96,11 +96,10 @@ def fit(readings: Readings, options: Options | None = None) -> FitResult:
         readings = readings.keep(readings.distance_m >= options.min_distance_m)
     heard = ~readings.missed
     if heard.sum() < 10 or len(np.unique(readings.distance_m[heard])) < 2:
+        distances = len(np.unique(readings.distance_m[heard]))
         raise CalibrationRefused(
-            f"{readings.name}: {heard.sum()} readings at "
-            f"{len(np.unique(readings.distance_m[heard]))} distances "
-            "cannot carry a fit: at least 10 readings at 5 places are needed, the farthest 3 "
-            "times the nearest"
+            f"{readings.name}: {heard.sum()} readings at {distances} distances cannot carry a fit: at least 10 at "
+            f"5 places are needed, the farthest 3 times the nearest{_and(readings.warnings)}"
         )
     if len(np.unique(readings.rss_dbm[heard])) < 2:
         raise CalibrationRefused(
@@ -110,6 +109,10 @@ def fit(readings: Readings, options: Options | None = None) -> FitResult:
         )
     missed = decide_missed(readings, options.missed)
     return _fit(readings, missed, options)
+
+
+def _and(warnings: tuple[str, ...]) -> str:
+    return f" ({'; '.join(warnings)})" if warnings else ""
 
 
 def decide_missed(readings: Readings, wish: Missed) -> Missed:

@@ -1,5 +1,6 @@
 """Pictures of a fit: readings against distance with the band, residuals against whatever is known."""
 
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 from calibration import diagnose
 from calibration.fit import FitResult
 from calibration.patterns import Pattern
+from calibration.profile import Profile
 from fieldkit.messages import FloatArray
 
 BAND_SIGMA = 1.96
@@ -89,6 +91,22 @@ def polar_png(pattern: Pattern) -> bytes:
     closed = np.append(heading, 360.0)
     axes.plot(np.radians(closed), np.append(gain, gain[0]), color="#d1495b")
     axes.set_title(f"{pattern.name}, gain in dB")
+    return _png(figure)
+
+
+def profile_png(profiles: Sequence[Profile]) -> bytes:
+    """How fast the fit gets worse as each parameter moves away; 1 is the end of the 95 % interval."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 2.4), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    for number, one in enumerate(profiles):
+        axes = figure.add_subplot(1, len(profiles), number + 1)
+        axes.plot(one.value, one.drop, color="#33658a")
+        axes.axhline(1.0, color="#d1495b", linewidth=0.8, linestyle=":")
+        axes.set(xlabel=one.name, ylim=(0.0, 1.2))
+        axes.locator_params(axis="x", nbins=4)
     return _png(figure)
 
 

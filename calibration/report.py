@@ -5,6 +5,7 @@ from base64 import b64encode
 from calibration import plots
 from calibration.fit import FitResult
 from calibration.patterns import Pattern
+from calibration.profile import profile
 from calibration.verdict import Judgement
 
 _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Calibration of {{ name }}</title>
@@ -30,6 +31,9 @@ img { max-width: 100% } .verdict { padding: .6rem 1rem; border-radius: .4rem; ba
 <h2>What the fit leaves over</h2>
 {% for title, picture in residuals %}<h3>Against {{ title }}</h3>
 <img alt="residuals against {{ title }}" src="data:image/png;base64,{{ picture }}">{% endfor %}
+<h2>How sure each parameter is</h2>
+<p>How much worse the fit gets as a parameter moves away, others adjusting; at 1 the 95 % interval ends.</p>
+<img alt="profiles" src="data:image/png;base64,{{ profiles }}">
 </html>
 """
 _MEANING = {
@@ -71,6 +75,9 @@ def report_html(result: FitResult, judgement: Judgement, pattern: Pattern | None
             rows=rows,
             split=split,
             counts=f"{result.n_readings} readings, {result.n_missed} missed, {result.n_places} places.",
+            profiles=b64encode(
+                plots.profile_png([profile(result, row[0]) for row in _PARAMETERS[:3]])
+            ).decode(),
             polar="" if pattern is None else b64encode(plots.polar_png(pattern)).decode(),
             shape="" if pattern is None else f"Chosen: {pattern.name}.",
             fit=b64encode(plots.fit_png(result)).decode(),
