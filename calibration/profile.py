@@ -1,8 +1,8 @@
 """Profile likelihoods: intervals that need not be symmetric, for fits where little is known.
 
-The curve of the likelihood is scaled so that at its bottom it is as flat as the clustered covariance says; far
-from the bottom it keeps the shape the readings give it. With many places both agree; with few, or many censored
-readings, the profile is the honest one.
+The curve of the likelihood is scaled so that at its bottom it is as flat as the clustered covariance says;
+far from the bottom it keeps the shape the readings give it. With many places both agree; with few, or many
+censored readings, the profile is the honest one.
 """
 
 from dataclasses import dataclass
