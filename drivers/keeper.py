@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import threading
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
@@ -33,6 +34,8 @@ class KeptReceiver:
         self._listening = False
         self._closed = False
         self._overrun = 0
+        self._gate = threading.Lock()
+        """Keeps states and readings in order: no reading before its `up`, none after `down`."""
 
     def _open_device(self, first: bool) -> str:
         """Open; what was opened, in words. In the worker thread. Raises `DeviceError`."""
@@ -106,23 +109,26 @@ class KeptReceiver:
         if self._closed:
             self._close_device()
             return
-        self._put(ReceiverState(self._clock.now_ns(), self.robot, True, words))
-        self._listening = True
+        with self._gate:
+            self._put(ReceiverState(self._clock.now_ns(), self.robot, True, words))
+            self._listening = True
         self._start()
 
     # What follows runs in the reader thread.
 
     def _give(self, reading: RssReading) -> None:
         """Hand over a reading; nothing before the device is announced, nothing after it was lost."""
-        if self._listening:
-            self._put(reading)
+        with self._gate:
+            if self._listening:
+                self._put(reading)
 
     def _on_lost(self, reason: str) -> None:
         """The device is gone: its silence means nothing from now on."""
-        if not self._listening:
-            return
-        self._listening = False
-        self._put(ReceiverState(self._clock.now_ns(), self.robot, False, reason), always=True)
+        with self._gate:
+            if not self._listening:
+                return
+            self._listening = False
+            self._put(ReceiverState(self._clock.now_ns(), self.robot, False, reason), always=True)
         self._loop.call_soon_threadsafe(self._lost.set)
 
     def _put(self, item: RssReading | ReceiverState, *, always: bool = False) -> None:

@@ -37,13 +37,14 @@ def _fits(value: Any, hint: Any) -> bool:
     for choice in _choices(hint):
         if choice is float and isinstance(value, int) and not isinstance(value, bool):
             return True
+        choice = get_origin(choice) or choice  # of list[int] only the list is checked here
         if isinstance(value, choice) and not (isinstance(value, bool) and choice is not bool):
             return True
     return False
 
 
 def _words(hint: Any) -> str:
-    names = {int: "an integer", float: "a number", str: "a text", bool: "true or false"}
+    names = {int: "an integer", float: "a number", str: "a text", bool: "true or false", list[int]: "a list"}
     return " or ".join(
         names.get(choice, str(choice)) for choice in _choices(hint) if choice is not type(None)
     )

@@ -190,7 +190,7 @@ class _Telemetry(asyncio.DatagramProtocol):
 class _Robot:
     """One robot's devices."""
 
-    def __init__(self, autopilot: RoverAutopilot, radio: PluggedModule) -> None:
+    def __init__(self, autopilot: RoverAutopilot, radio: PluggedModule[Module]) -> None:
         self.autopilot = autopilot
         self.radio = radio
         self.transport: asyncio.DatagramTransport | None = None

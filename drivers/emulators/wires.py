@@ -7,9 +7,32 @@ import random
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
-from drivers.emulators.xbee import REPLY_S, Module, Rewrite
+REPLY_S = (0.003, 0.005)
+"""How long a device takes to answer, wall time. Faster replies break stock digi-xbee: it misses them."""
+
+Rewrite = Callable[[bytes], bytes]
+"""A fault on the wire: what the device wrote in, what arrives out."""
+
+
+class Device(Protocol):
+    """A state machine behind a wire."""
+
+    serial_number: int
+
+    def receive(self, data: bytes, now_s: float) -> list[bytes]:
+        """Bytes from the host; the answers, in order."""
+        ...
+
+    def hear(
+        self, rss_dbm: float, sender: int, payload: bytes, *, short_address: bool = False
+    ) -> bytes | None:
+        """A packet on the air; what the device writes to its host, None if it does not hear it."""
+        ...
+
+
+DeviceType = TypeVar("DeviceType", bound=Device)
 
 
 class Wire(Protocol):
@@ -127,14 +150,14 @@ def make_wire(link: Path | None = None) -> Wire:
     return PtyWire(link) if hasattr(os, "openpty") else TcpWire()
 
 
-class PluggedModule:
-    """A module on a wire: answers after the time a real one takes, and suffers faults on request."""
+class PluggedModule(Generic[DeviceType]):
+    """A device on a wire: answers after the time a real one takes, and suffers faults on request."""
 
-    def __init__(self, module: Module, wire: Wire) -> None:
+    def __init__(self, module: DeviceType, wire: Wire) -> None:
         self.module = module
         self.wire = wire
         self.rewrite: Rewrite | None = None
-        """Applied to the next bytes the module writes, once."""
+        """Applied to the next bytes the device writes, once."""
         self.lost_writes = 0
         self._delay = random.Random(module.serial_number)
         self._free_at_s = 0.0

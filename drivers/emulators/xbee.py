@@ -5,14 +5,12 @@ the manuals'. Local AT commands (0x08, 0x09), text command mode (`+++`) and rece
 module does; anything it would transmit is only counted.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from drivers.xbee.frames import ESCAPE, START, Deframer, frame
 
 OK, ERROR, INVALID_COMMAND, INVALID_PARAMETER = 0, 1, 2, 3
-REPLY_S = (0.003, 0.005)
-"""How long a module takes to answer, wall time. Faster replies break stock digi-xbee: it misses them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +179,3 @@ class Module:
         if output == 1:
             return b"\x91" + long + short + b"\xe8\xe8\x00\x11\xc1\x05" + bytes([broadcast]) + payload
         return b"\x90" + long + short + bytes([broadcast]) + payload
-
-
-Rewrite = Callable[[bytes], bytes]
-"""A fault on the wire: what the module wrote in, what arrives out."""

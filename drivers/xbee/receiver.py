@@ -13,7 +13,7 @@ from drivers.options import checked
 from drivers.xbee.decode import WITHOUT_RSSI, decode
 from drivers.xbee.diagnose import why_silent
 from drivers.xbee.listen import FrameInterface, ListenOnly
-from drivers.xbee.settings import ModuleSettings, advice, read_settings, why_deaf
+from drivers.xbee.settings import SATURATION_DBM, ModuleSettings, advice, read_settings, why_deaf
 from fieldkit.errors import DeviceError, DeviceTimeout
 from fieldkit.messages import RssReading
 from fieldkit.ports import Surroundings
@@ -50,6 +50,7 @@ class XBeeReceiver(KeptReceiver):
         """Receptions without a usable strength: RSSI byte 0 or 255, or malformed."""
         self._options = options
         self._device: ListenOnly | None = None
+        self._saturation_dbm = SATURATION_DBM
 
     def _open_device(self, first: bool) -> str:
         device = self._connect(diagnose=first)
@@ -116,8 +117,6 @@ class XBeeReceiver(KeptReceiver):
     # What follows runs in the library's reader thread.
 
     def _on_frame(self, t_ns: int, frame: bytes) -> None:
-        if not self._listening:
-            return
         heard = decode(frame)
         if heard is None:
             if 0x80 <= frame[3] <= 0x83:

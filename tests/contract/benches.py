@@ -14,15 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from drivers.emulators.rover import RoverAutopilot
-from drivers.emulators.wires import PluggedModule, PtyWire, TcpWire, Wire
+from drivers.emulators.sniffers import NrfDongle, TiDongle
+from drivers.emulators.wires import Device, PluggedModule, PtyWire, TcpWire, Wire
 from drivers.emulators.xbee import Module
 from drivers.handover import Handover
 from drivers.mavlink.fleet import open_link
+from drivers.sniffers.receiver import open_nrf, open_ti
 from drivers.xbee.receiver import open_receiver
 from fieldkit.clock import Clock, RealClock, ScaledClock
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import ReceiverFactory, Surroundings
 from fieldkit.testing import ReceiverBench, VehicleLinkBench
 from fieldkit.world.rover import Rover
 
@@ -33,13 +35,18 @@ def around(clock: Clock | None = None) -> Surroundings:
     return Surroundings(clock or RealClock(), FRAME)
 
 
-def xbee_on(
-    make_wire: Callable[[Path], Wire],
-) -> Callable[[], contextlib.AbstractAsyncContextManager[ReceiverBench]]:
+Bench = Callable[[], contextlib.AbstractAsyncContextManager[ReceiverBench]]
+
+
+def on_wire(
+    open_it: ReceiverFactory, make_device: Callable[[], Device], make_wire: Callable[[Path], Wire]
+) -> Bench:
+    """A radio driver on an emulated device."""
+
     @asynccontextmanager
     async def bench() -> AsyncIterator[ReceiverBench]:
         folder = tempfile.TemporaryDirectory()
-        radio = PluggedModule(Module(), make_wire(Path(folder.name)))
+        radio = PluggedModule(make_device(), make_wire(Path(folder.name)))
         await radio.plug()
 
         async def transmit(count: int) -> None:
@@ -50,7 +57,7 @@ def xbee_on(
             radio.unplug()
 
         try:
-            receiver = open_receiver("ada", {"port": radio.wire.port}, around())
+            receiver = open_it("ada", {"port": radio.wire.port}, around())
             yield ReceiverBench(receiver, transmit, unplug, radio.plug)
         finally:
             radio.unplug()
@@ -177,9 +184,23 @@ async def mavlink_on_rovers() -> AsyncIterator[VehicleLinkBench]:
         yield VehicleLinkBench(link, clock, {"ada": starts_m[3], "bob": starts_m[4]})
 
 
-RECEIVERS = {
-    "xbee-pty": xbee_on(lambda folder: PtyWire(folder / "radio")),
-    "xbee-tcp": xbee_on(lambda _: TcpWire()),
+def pty(folder: Path) -> Wire:
+    return PtyWire(folder / "radio")
+
+
+def tcp(_: Path) -> Wire:
+    return TcpWire()
+
+
+def now_us() -> int:
+    return RealClock().now_ns() // 1000
+
+
+RECEIVERS: dict[str, Bench] = {
+    "xbee-pty": on_wire(open_receiver, Module, pty),
+    "xbee-tcp": on_wire(open_receiver, Module, tcp),
+    "nrf-sniffer": on_wire(open_nrf, lambda: NrfDongle(now_us), pty),
+    "ti-sniffer": on_wire(open_ti, lambda: TiDongle(now_us), pty),
     "fake": fake_receiver,
 }
 VEHICLE_LINKS = {"mavlink": mavlink_on_rovers}

@@ -274,3 +274,20 @@ def test_impossible_options_are_named(options, words):
     with pytest.raises(ConfigError, match="ada") as caught:
         open_receiver("ada", options, Surroundings(RealClock(), FieldFrame(0.0, 0.0)))
     assert words in str(caught.value)
+
+
+async def test_a_radio_that_hears_while_it_is_being_opened_opens(plug, listening):
+    radio = await plug()
+
+    async def chatter():
+        while True:
+            radio.hear(-70.0, SENDER, b"x")
+            await asyncio.sleep(0.001)
+
+    task = asyncio.create_task(chatter())
+    async with listening(radio.wire.port) as heard:
+        await heard.until(lambda: len(heard.readings) > 50)
+        assert heard.items[0] == heard.states[0]
+        task.cancel()
+    await asyncio.wait({task})
+    assert [state.up for state in heard.states] == [True]

@@ -1,0 +1,193 @@
+"""A sniffer dongle as a `Receiver`: one channel, or several in turn with every dwell in the recording.
+
+Never verified on the devices themselves: written from the firmwares' documents and host tools.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.keeper import KeptReceiver
+from drivers.links import ByteLink, open_link
+from drivers.options import checked
+from drivers.sniffers.ieee802154 import frame_id
+from drivers.sniffers.nrf import NrfText
+from drivers.sniffers.protocol import CHANNELS, Captured, SnifferProtocol
+from drivers.sniffers.ti import TiBinary
+from drivers.timebase import TimeBase
+from fieldkit.errors import ConfigError, DeviceError
+from fieldkit.messages import ReceiverState, RssReading
+from fieldkit.ports import Surroundings
+
+logger = logging.getLogger(__name__)
+
+COMMAND_GAP_S = 0.02
+"""Wall time between commands: the firmwares read them one at a time."""
+CLOCK_JUMP_NS = 5_000_000_000
+"""The dongle's clock and ours may not part further than this between two frames: else it has restarted."""
+
+
+@dataclass(frozen=True, slots=True)
+class SnifferOptions:
+    """What a mission file says of a sniffer dongle."""
+
+    port: str
+    channel: int = 15
+    channels: list[int] | None = None
+    """Listen on these in turn, `dwell_s` each, in place of `channel`."""
+    dwell_s: float = 1.0
+    """Mission time on each channel. A transmission on another channel meanwhile is not heard."""
+    baud: int = 921600
+    saturation_dbm: float | None = None
+
+    def order(self) -> list[int]:
+        return list(self.channels) if self.channels else [self.channel]
+
+
+def open_nrf(robot: str, options: Mapping[str, Any], around: Surroundings) -> "SnifferReceiver":
+    """Nordic's sniffer firmware, not opened yet. Raises `ConfigError`."""
+    return _make(robot, options, around, "nRF sniffer", NrfText)
+
+
+def open_ti(robot: str, options: Mapping[str, Any], around: Surroundings) -> "SnifferReceiver":
+    """TI's sniffer firmware, not opened yet. Raises `ConfigError`."""
+    return _make(robot, options, around, "TI sniffer", TiBinary)
+
+
+def _make(
+    robot: str,
+    given: Mapping[str, Any],
+    around: Surroundings,
+    name: str,
+    protocol: Callable[[], SnifferProtocol],
+) -> "SnifferReceiver":
+    where = f"receiver of {robot} ({name})"
+    options = checked(SnifferOptions, given, where)
+    for channel in options.order():
+        if isinstance(channel, bool) or channel not in CHANNELS:
+            raise ConfigError(f"{where}: option 'channel': expected 11 to 26, got {channel!r}")
+    if options.dwell_s <= 0:
+        raise ConfigError(f"{where}: option 'dwell_s': expected a positive number, got {options.dwell_s:g}")
+    return SnifferReceiver(robot, f"{name} of {robot}", options, around, protocol)
+
+
+class SnifferReceiver(KeptReceiver):
+    """Entering starts the capture; closing stops it."""
+
+    def __init__(
+        self,
+        robot: str,
+        name: str,
+        options: SnifferOptions,
+        around: Surroundings,
+        protocol: Callable[[], SnifferProtocol],
+    ) -> None:
+        super().__init__(robot, name, around)
+        self._options = options
+        self._make_protocol = protocol
+        self._order = options.order()
+        self._link: ByteLink | None = None
+        self._thread: threading.Thread | None = None
+        self._running = threading.Event()
+
+    def _open_device(self, first: bool) -> str:
+        link = open_link(self._options.port, self._options.baud, self._name)
+        self._protocol, self._time = self._make_protocol(), TimeBase()
+        self._last_ns: tuple[int, int] | None = None
+        self._turn, self._channel = 0, self._order[0]
+        try:
+            self._send(link, self._protocol.start(self._order[0]))
+        except OSError as error:
+            link.close()
+            raise DeviceError(f"{self._name}: {self._options.port} takes no commands: {error}") from error
+        self._link = link
+        self._running.set()
+        self._thread = threading.Thread(target=self._read, args=(link,), name=self._name, daemon=True)
+        channels = ", ".join(str(channel) for channel in self._order)
+        return f"{self._name.split(' of ')[0]} on channel {channels}"
+
+    def _start(self) -> None:
+        if self._thread is not None:
+            self._thread.start()
+
+    def _close_device(self) -> None:
+        self._running.clear()
+        if self._thread is not None and self._thread.is_alive():
+            self._thread.join()
+        self._thread = None
+        link, self._link = self._link, None
+        if link is not None:
+            try:
+                link.write(self._protocol.stop())
+            except OSError:
+                logger.debug("%s: gone before it could be stopped", self._name)
+            link.close()
+
+    def _send(self, link: ByteLink, commands: list[bytes]) -> None:
+        for each in commands:
+            link.write(each)
+            time.sleep(COMMAND_GAP_S)
+
+    # What follows runs in the reader thread.
+
+    def _read(self, link: ByteLink) -> None:
+        since_s = self._clock.elapsed_s()
+        while self._running.is_set():
+            try:
+                self._take_all(link)
+                if len(self._order) > 1 and self._clock.elapsed_s() - since_s > self._options.dwell_s:
+                    since_s = self._clock.elapsed_s()
+                    self._hop(link)
+            except (
+                OSError,
+                TypeError,
+                AttributeError,
+            ) as error:  # pyserial: TypeError when closed under a read
+                self._on_lost(f"the port went away ({error})")
+                return
+
+    def _take_all(self, link: ByteLink) -> None:
+        data = link.read()
+        t_ns = self._clock.now_ns()
+        for captured in self._protocol.feed(data):
+            self._take(captured, t_ns)
+
+    def _hop(self, link: ByteLink) -> None:
+        """Stop, take what was still captured on the old channel, and go on on the next."""
+        self._send(link, [self._protocol.stop()])
+        self._take_all(link)
+        self._turn = (self._turn + 1) % len(self._order)
+        self._channel = self._order[self._turn]
+        self._send(link, self._protocol.tune(self._channel))
+        self._put(ReceiverState(self._clock.now_ns(), self.robot, True, f"now on channel {self._channel}"))
+
+    def _take(self, captured: Captured, t_ns: int) -> None:
+        sender = frame_id(captured.psdu)
+        if sender is None and captured.psdu[:1] and captured.psdu[0] & 7 == 2:
+            return  # an acknowledgement: names nobody, and follows a frame that was heard by itself
+        ceiling = self._options.saturation_dbm
+        self._give(
+            RssReading(
+                t_ns=self._mission_time(captured.device_us * 1000, t_ns),
+                robot=self.robot,
+                rss_dbm=captured.rss_dbm,
+                via="sniffer",
+                channel=self._channel,
+                frame_id=sender,
+                lqi=captured.lqi,
+                saturated=ceiling is not None and captured.rss_dbm >= ceiling,
+            )
+        )
+
+    def _mission_time(self, device_ns: int, t_ns: int) -> int:
+        """The dongle's own stamp in mission time; USB delivers in bursts, the dongle stamps each frame."""
+        if self._last_ns is not None:
+            apart_ns = (device_ns - self._last_ns[0]) - (t_ns - self._last_ns[1])
+            if abs(apart_ns) > CLOCK_JUMP_NS:
+                self._time.clear()
+        self._last_ns = (device_ns, t_ns)
+        self._stamp_ns = max(self._time.heard(device_ns, t_ns), getattr(self, "_stamp_ns", 0))
+        return self._stamp_ns
