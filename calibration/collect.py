@@ -78,6 +78,13 @@ async def _one_place(
     if where is None:
         say(f"'{answer}' is not a distance above zero; {QUESTION}")
         return
+    if places and (where[1] is None) != (places[0].heading_deg is None):
+        say(
+            "give the heading at every place or at none"
+            if where[1] is None
+            else "no heading: none was given before"
+        )
+        return
     inbox.clear()
     start_ns = clock.now_ns()
     await clock.sleep(beacon.period_s * beacon.packets)

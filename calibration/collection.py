@@ -99,14 +99,14 @@ def to_csv(places: Sequence[Place]) -> str:
     """All places as a readings file."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    with_heading = any(place.heading_deg is not None for place in places)
+    with_heading = bool(places) and all(place.heading_deg is not None for place in places)
     writer.writerow([name for name in HEADER if with_heading or name != "heading_deg"])
     number = 0
     for place in places:
         for packet in place.packets:
             level = "" if packet.rss_dbm is None else f"{packet.rss_dbm:g}"
             row = [place.name, f"{place.distance_m:g}"]
-            row += [f"{place.heading_deg or 0.0:g}"] if with_heading else []
+            row += [f"{place.heading_deg:g}"] if with_heading else []
             writer.writerow([*row, place.receiver, number, f"{packet.t_s:.3f}", level])
             number += 1
     return stream.getvalue()

@@ -214,12 +214,16 @@ def _alternatives(table: Table, tx: FloatArray | None, rx: FloatArray | None) ->
         lat, lon, other = "lat_deg", "lon_deg", "latitude and longitude"
         value = {name: table.numbers(name) for name in _LAT_LON}
         swapped = {}
-        for whose, ends in (("transmitter", ("tx",)), ("receiver", ("rx",)), ("both ends", ("tx", "rx"))):
+        for whose, ends in (
+            ("the transmitter", ("tx",)),
+            ("the receiver", ("rx",)),
+            ("both ends", ("tx", "rx")),
+        ):
             got = dict(value)
             for end in ends:
                 got[f"{end}_{lat}"], got[f"{end}_{lon}"] = value[f"{end}_{lon}"], value[f"{end}_{lat}"]
             if all(np.all(np.abs(got[f"{end}_{lat}"]) <= 90.0) for end in ends):
-                swapped[f"{other} of the {whose} are exchanged"] = np.hypot(*np.subtract(*_metres(got)).T)
+                swapped[f"{other} of {whose} are exchanged"] = np.hypot(*np.subtract(*_metres(got)).T)
         return swapped
     return {
         "east and north of the receiver are exchanged": np.hypot(*(rx[:, ::-1] - tx).T),

@@ -10,6 +10,10 @@ from calibration.fit import FitResult, clustered, fitted_mean, make_rows
 from calibration.likelihood import Rows
 from fieldkit.messages import FloatArray
 
+SUSPECT_NATS, SURE_NATS = 3.0, 6.0
+OUT_OF_REACH_M = 100_000.0
+"""No radio calibrated here reaches this far: coordinates that say so are exchanged."""
+
 
 @dataclass(frozen=True, slots=True)
 class Structure:
@@ -104,17 +108,24 @@ def thinned(result: FitResult) -> float:
     return absent - float(1.0 - np.minimum(counts[~touching], usual).mean() / usual)
 
 
-def swapped(result: FitResult) -> str:
-    """Which coordinates, if exchanged, make the readings fit much better; empty where none does."""
+def swapped(result: FitResult) -> tuple[str, bool]:
+    """Which coordinates, if exchanged, make the readings fit better, and whether there is no doubt.
+
+    Evidence is log-likelihood, one observation for each place: by chance it passes x once in exp(x)
+    files. Empty where nothing speaks for an exchange.
+    """
     r = result.readings
     heard = ~r.missed
     _, sigma = _quick(r.distance_m[heard], r.rss_dbm[heard])
-    best, name = sigma, ""
+    name, most, sure = "", SUSPECT_NATS, False
     for what, distance in r.alternatives.items():
+        if np.median(r.distance_m) > OUT_OF_REACH_M > np.median(distance):
+            return what, True
         exponent, alternative = _quick(distance[heard], r.rss_dbm[heard])
-        if exponent > 0.5 and alternative < min(best, 0.75 * sigma):
-            best, name = alternative, what
-    return name
+        evidence = result.n_places * float(np.log(sigma / max(alternative, 1e-6)))
+        if exponent > 0.5 and evidence > most:
+            name, most, sure = what, evidence, evidence > SURE_NATS and alternative < 0.95 * sigma
+    return name, sure
 
 
 def near_field(result: FitResult) -> tuple[float, float] | None:

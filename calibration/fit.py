@@ -98,8 +98,8 @@ def fit(readings: Readings, options: Options | None = None) -> FitResult:
     if heard.sum() < 10 or len(np.unique(readings.distance_m[heard])) < 2:
         distances = len(np.unique(readings.distance_m[heard]))
         raise CalibrationRefused(
-            f"{readings.name}: {heard.sum()} readings at {distances} distances cannot carry a fit: at least 10 "
-            f"at 5 places are needed, the farthest 3 times the nearest{_and(readings.warnings)}"
+            f"{readings.name}: {heard.sum()} readings at {distances} distances cannot carry a fit: at least "
+            f"10 at 5 places are needed, the farthest 3 times the nearest{_and(readings.warnings)}"
         )
     if len(np.unique(readings.rss_dbm[heard])) < 2:
         raise CalibrationRefused(

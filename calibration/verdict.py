@@ -45,7 +45,7 @@ def judge(result: FitResult) -> Judgement:
     """What a fit is good for."""
     refusals: list[str] = []
     warnings = list(result.readings.warnings)
-    _coordinates(result, refusals)
+    _coordinates(result, refusals, warnings)
     _amount(result, refusals, warnings)
     _exponent(result, refusals, warnings)
     _missed(result, refusals, warnings)
@@ -54,10 +54,12 @@ def judge(result: FitResult) -> Judgement:
     return Judgement(tuple(refusals), tuple(warnings))
 
 
-def _coordinates(result: FitResult, refusals: list[str]) -> None:
-    what = diagnose.swapped(result)
-    if what:
+def _coordinates(result: FitResult, refusals: list[str], warnings: list[str]) -> None:
+    what, sure = diagnose.swapped(result)
+    if sure:
         refusals.append(f"it looks as if {what}: the readings fit much better that way; correct the file")
+    elif what:
+        warnings.append(f"the readings fit somewhat better as if {what}; check the file")
 
 
 def _amount(result: FitResult, refusals: list[str], warnings: list[str]) -> None:

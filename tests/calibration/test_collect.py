@@ -96,11 +96,12 @@ def test_what_was_collected_can_be_fitted(tmp_path):
 
 def test_an_interrupted_collection_is_gone_on_with(tmp_path):
     out = tmp_path / "r.csv"
-    run(out, ["1", "2 90", "q"])
-    places, said = run(out, ["u", "far", "4 180", "q"])
-    assert [p.distance_m for p in places] == [1.0, 4.0]
+    run(out, ["1 0", "2 90", "q"])
+    places, said = run(out, ["u", "far", "3", "4 180", "q"])
+    assert [(p.distance_m, p.heading_deg) for p in places] == [(1.0, 0.0), (4.0, 180.0)]
     assert "going on after 2 places" in said[0]
     assert any("is not a distance" in line for line in said)
+    assert any("at every place or at none" in line for line in said)
     assert len(from_csv(out)) == 2
 
 

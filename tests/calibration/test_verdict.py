@@ -104,3 +104,28 @@ def test_exchanged_coordinates_are_named(tmp_path):
 def test_one_value_repeated_is_refused():
     with pytest.raises(CalibrationRefused, match="repeats one value"):
         fit(from_arrays(np.repeat([1.0, 2.0, 4.0], 100), np.full(300, -60.0)))
+
+
+def test_coordinates_that_are_right_are_not_called_exchanged(tmp_path):
+    path = tmp_path / "right.csv"
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        tx = rng.uniform(0, 20, 2)
+        lines = ["tx_east_m,tx_north_m,rx_east_m,rx_north_m,rss_dbm"]
+        for rx in rng.uniform(0, 20, (30, 2)):
+            level = -50.0 - 25.0 * np.log10(np.hypot(*(rx - tx))) + rng.normal(0, 4)
+            lines.append(f"{tx[0]:.2f},{tx[1]:.2f},{rx[0]:.2f},{rx[1]:.2f},{level:.0f}")
+        path.write_text("\n".join(lines))
+        judgement = judge(fit(read_readings(path)))
+        assert "exchanged" not in " ".join(judgement.reasons), seed
+
+
+def test_latitude_and_longitude_of_one_end_exchanged_are_named(tmp_path):
+    rng = np.random.default_rng(3)
+    lines = ["tx_lat_deg,tx_lon_deg,rx_lat_deg,rx_lon_deg,rss_dbm"]
+    for north, east in rng.uniform(10, 500, (30, 2)):
+        level = -30.0 - 27.0 * np.log10(np.hypot(north, east)) + rng.normal(0, 3)
+        lines.append(f"11,48,{48 + north / 111_200:.7f},{11 + east / 74_500:.7f},{level:.0f}")
+    path = tmp_path / "swapped.csv"
+    path.write_text("\n".join(lines))
+    assert "latitude and longitude of the transmitter are exchanged" in refusals(read_readings(path))
