@@ -64,14 +64,24 @@ def covariance(result: FitResult) -> np.ndarray:
 
 def plain(result: FitResult, judgement: Judgement, pattern: Pattern | None = None) -> dict[str, Any]:
     """For `--json`."""
-    more = {} if pattern is None else {"pattern": {**_table(pattern), "bic": pattern.bic}}
-    return {
+    more: dict[str, Any] = {} if pattern is None else {"pattern": {**_table(pattern), "bic": pattern.bic}}
+    said = {
         **more,
         "verdict": judgement.state,
         "refusals": list(judgement.refusals),
         "warnings": list(judgement.warnings),
         **as_dict(result),
     }
+    # JSON has no word for infinity, which an interval from three places may well reach.
+    return {name: _finite(value) for name, value in said.items()}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return {name: _finite(item) for name, item in value.items()} if isinstance(value, dict) else value
 
 
 def words(result: FitResult, judgement: Judgement, pattern: Pattern | None = None) -> str:

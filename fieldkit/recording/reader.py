@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mcap.reader import make_reader
+
 from fieldkit.errors import RecordingError
 from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate
 from fieldkit.recording import codec
@@ -126,15 +128,11 @@ class Recording:
                 yield BeliefGrid(message.log_time, called, values, cell_m, origin_m)
 
     def summary(self) -> dict[str, Any]:
-        """Duration, counts per topic, whether complete and what is missing: plain values, one full pass."""
-        first = last = None
-        counts: Counter[str] = Counter()
-        for channel, message in walk(self.path, Contents()):
-            counts[channel.topic] += 1
-            if channel.topic != HEADER.name:
-                first = message.log_time if first is None else min(first, message.log_time)
-                last = message.log_time if last is None else max(last, message.log_time)
-        self.counts = counts
+        """Duration, counts per topic, whether complete and what is missing: plain values.
+
+        A complete file's own index answers at once; a damaged one is walked.
+        """
+        self.counts, first, last = _indexed(self.path) if self.complete else _counted(self.path)
         return {
             "recording": str(self.path),
             "bytes": self.path.stat().st_size,
@@ -143,7 +141,7 @@ class Recording:
             "seconds_missing": round(self.seconds_missing, 3),
             "start_ns": first,
             "duration_s": 0.0 if first is None or last is None else (last - first) * 1e-9,
-            "counts": dict(sorted(counts.items())),
+            "counts": dict(sorted(self.counts.items())),
             "fieldkit": self.fieldkit_version,
             "metadata": self.metadata,
         }
@@ -212,6 +210,32 @@ def _header(path: Path) -> dict[str, Any]:
             f"{path}: recording schema {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
         )
     return header
+
+
+def _indexed(path: Path) -> tuple[Counter[str], int | None, int | None]:
+    """Messages per topic, first and last log time, from the index of a complete file."""
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None and summary.statistics is not None
+    per_channel = summary.statistics.channel_message_counts
+    counts = Counter({summary.channels[number].topic: count for number, count in per_channel.items()})
+    # The first chunk holds the header alone, whose time is when the file was opened.
+    chunks = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)[1:]
+    if not chunks:
+        return counts, None, None
+    return counts, min(c.message_start_time for c in chunks), max(c.message_end_time for c in chunks)
+
+
+def _counted(path: Path) -> tuple[Counter[str], int | None, int | None]:
+    """The same by walking through the file."""
+    counts: Counter[str] = Counter()
+    first = last = None
+    for channel, message in walk(path, Contents()):
+        counts[channel.topic] += 1
+        if channel.topic != HEADER.name:
+            first = message.log_time if first is None else min(first, message.log_time)
+            last = message.log_time if last is None else max(last, message.log_time)
+    return counts, first, last
 
 
 def _examine(recording: Recording) -> None:

@@ -9,6 +9,7 @@ from fieldkit.errors import RecordingError
 from fieldkit.recording.codec import encode_value
 from fieldkit.recording.records import NO_INDEX, Contents, is_whole, walk
 from fieldkit.recording.schema import HEADER, PROFILE
+from fieldkit.recording.writer import close_chunk
 
 
 def recover(path_in: Path, path_out: Path) -> list[str]:
@@ -44,6 +45,7 @@ def _copy(path_in: Path, path_out: Path) -> tuple[list[str], int]:
             if not written and channel.topic != HEADER.name and contents.header is not None:
                 first = out.register_channel(HEADER.name, "json", 0)
                 out.add_message(first, message.log_time, encode_value(contents.header), message.log_time)
+                close_chunk(out)
                 written += 1
             if channel.id not in channels:
                 schema = contents.schemas.get(channel.schema_id)
@@ -58,6 +60,8 @@ def _copy(path_in: Path, path_out: Path) -> tuple[list[str], int]:
             out.add_message(
                 channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
             )
+            if channel.topic == HEADER.name:
+                close_chunk(out)
             written += 1
         if not written:
             raise RecordingError(f"{path_in}: no intact message in it; nothing can be recovered")

@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fieldkit.errors import RecordingError
+from fieldkit.recording import reader
 from fieldkit.recording.cli import app
 
 runner = CliRunner()
@@ -21,6 +22,10 @@ def test_info_counts_topics_and_time(recorded):
 def test_info_says_what_a_cut_file_lacks(recorded):
     recorded.write_bytes(recorded.read_bytes()[:-200])
     assert "NOT complete" in runner.invoke(app, ["info", str(recorded)]).stdout
+
+
+def test_the_index_says_the_same_as_a_walk_through_the_file(recorded):
+    assert reader._indexed(recorded) == reader._counted(recorded)
 
 
 def test_recover_writes_a_file_that_info_calls_complete(tmp_path, recorded):

@@ -134,6 +134,7 @@ def test_recovering_gives_a_whole_file_with_all_that_was_intact(tmp_path, record
     assert all(map(same, mended.items(), before.items()))
     assert mended.mission_toml == before.mission_toml
     assert not list(tmp_path.glob(".*"))
+    assert mended.summary()["duration_s"] == before.summary()["duration_s"]
 
 
 def test_recovering_never_overwrites(tmp_path, recorded):
