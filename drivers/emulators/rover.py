@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drivers.mavlink.codec import Message, Packer, Parser, mavlink
+from drivers.mavlink.signing import Signer
 from fieldkit.geo import FieldFrame
 from fieldkit.world.rover import Rover
 
@@ -59,6 +60,7 @@ class RoverAutopilot:
     """HOLD when the ground station's heartbeat is older; 0 is FS_GCS_ENABLE off. Live from the first one."""
     battery_pct: float = 100.0
     trouble: Trouble = field(default_factory=Trouble)
+    signer: Signer | None = None
 
     def __post_init__(self) -> None:
         self.mode = HOLD
@@ -67,8 +69,8 @@ class RoverAutopilot:
         self._target: tuple[int, int] = (0, 0)
         self._target_m: tuple[float, float] | None = None
         self._speed_m_s = self.body.max_speed_m_s
-        self._packer = Packer(self.system_id, 1)
-        self._parser = Parser()
+        self._packer = Packer(self.system_id, 1, self.signer)
+        self._parser = Parser(self.signer)
         self._out: list[Message] = []
         self._moved_s: float | None = None
         self._heartbeat_s: float | None = None

@@ -4,8 +4,10 @@ import asyncio
 import contextlib
 import logging
 import math
+import zlib
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -13,9 +15,11 @@ from drivers.handover import Handover
 from drivers.mavlink.codec import AUTOPILOT, GROUND_STATION, Message, Packer, Parser, mavlink
 from drivers.mavlink.commands import Commander, wait_for
 from drivers.mavlink.modes import COPTER, set_mode
+from drivers.mavlink.signing import Signer, read_key
 from drivers.mavlink.transport import Peer, make_transport
 from drivers.mavlink.vehicle import Vehicle
 from drivers.options import checked
+from fieldkit.clock import Clock
 from fieldkit.errors import ConfigError, DeviceTimeout, VehicleRefused
 from fieldkit.messages import Pose, VehicleMode, VehicleState, Waypoint
 from fieldkit.ports import Surroundings
@@ -49,6 +53,8 @@ class RobotOptions:
     """Standard deviation of its positions; 0: take the GPS's own word."""
     own_system_id: int = SYSTEM_ID
     """Our system id on this link; the vehicles must accept it (MAV_GCS_SYSID)."""
+    signing_key: str = ""
+    """Path of the link's signing key; empty: nothing is signed."""
 
 
 def open_link(address: str, robots: Mapping[str, Mapping[str, Any]], around: Surroundings) -> "MavlinkLink":
@@ -84,14 +90,19 @@ class MavlinkLink:
             name: checked(RobotOptions, given, f"vehicle of {name} (mavlink)")
             for name, given in robots.items()
         }
-        own = {option.own_system_id for option in options.values()} or {SYSTEM_ID}
-        self._own_id = own.pop()
-        if own:
-            raise ConfigError(f"vehicle link {address}: robots on one link disagree on 'own_system_id'")
+        shared = {(option.own_system_id, option.signing_key) for option in options.values()} or {
+            (SYSTEM_ID, "")
+        }
+        if len(shared) > 1:
+            raise ConfigError(
+                f"vehicle link {address}: robots on one link disagree on 'own_system_id' or 'signing_key'"
+            )
+        ((self._own_id, key_path),) = shared
+        self._signer = _signer(key_path, address, self._clock) if key_path else None
         self._steered: dict[int, _Steering] = {}
         for name, option in options.items():
             self._add(name, option)
-        self._packer = Packer(self._own_id, GROUND_STATION)
+        self._packer = Packer(self._own_id, GROUND_STATION, self._signer)
         self._parsers: dict[Peer, Parser] = {}
         self._commander = Commander(self._clock, self._own_id, self._send)
         self._transport = make_transport(address)
@@ -129,6 +140,8 @@ class MavlinkLink:
         with contextlib.suppress(asyncio.CancelledError):
             await self._housekeeper
         await self._transport.close()
+        if self._signer is not None:
+            self._signer.close()
         self._out.close()
 
     async def events(self) -> AsyncIterator[Pose | VehicleState]:
@@ -143,7 +156,7 @@ class MavlinkLink:
         if parser is None:
             if len(self._parsers) >= MAX_PEERS:
                 self._parsers.clear()
-            parser = self._parsers[peer] = Parser()
+            parser = self._parsers[peer] = Parser(self._signer)
         now_s, now_ns = self._clock.elapsed_s(), self._clock.now_ns()
         for message in parser.parse(data):
             steering = self._steered.get(message.get_srcSystem())
@@ -418,6 +431,13 @@ class MavlinkLink:
             self._heartbeat_waiters.append(waiter)
             await wait_for(waiter, self._clock, left_s)
         return True
+
+
+def _signer(key_path: str, address: str, clock: Clock) -> Signer:
+    """The link's signer. Its time is kept beside the key, and its link id comes from the address."""
+    path = Path(key_path).expanduser()
+    link_id = zlib.crc32(address.encode()) & 0xFF
+    return Signer(read_key(path), clock.now_ns, link_id=link_id, store=path.with_suffix(".time"))
 
 
 def _interval(vehicle: Vehicle, number: int, rate_hz: float, attempt: int) -> Message:

@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -154,7 +155,7 @@ class RoverOnUdp(asyncio.DatagramProtocol):
 
 @asynccontextmanager
 async def rovers_on_udp(
-    starts_m: dict[int, tuple[float, float]], clock: ScaledClock, port: int, **options: float
+    starts_m: dict[int, tuple[float, float]], clock: ScaledClock, port: int, **options: Any
 ) -> AsyncIterator[list[RoverOnUdp]]:
     """Emulated rovers by system id, sending to a local port."""
     loop, rovers, tasks = asyncio.get_running_loop(), [], []
