@@ -7,7 +7,8 @@ import numpy as np
 
 from calibration import likelihood
 from calibration.dataset import Readings
-from calibration.fit import Missed, clustered, make_rows
+from calibration.observations import Missed, make_rows
+from calibration.spread import clustered
 from fieldkit.antenna.file import AntennaFile
 from fieldkit.errors import DataError
 

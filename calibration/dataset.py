@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.geometry import alternatives, geometry
 from calibration.table import Table, read_table
 from fieldkit.errors import DataError
 from fieldkit.messages import FloatArray
 
 IntArray = NDArray[np.int64]
-_TX_RX = ("tx_east_m", "tx_north_m", "rx_east_m", "rx_north_m")
-_LAT_LON = ("tx_lat_deg", "tx_lon_deg", "rx_lat_deg", "rx_lon_deg")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +119,7 @@ def read_readings(
     rss = table.numbers("rss_dbm", empty=float("nan"))
     rss = -rss if negate else rss
     sanity.check_levels(table, rss)
-    distance, tx, rx, notes = _geometry(table)
+    distance, tx, rx, notes = geometry(table)
     place, places = _places(table, distance, tx, rx, place_cell_m)
     receiver, receivers = _codes(table.columns["receiver"]) if "receiver" in table.columns else (None, ())
     heading = table.numbers("heading_deg") if "heading_deg" in table.columns else None
@@ -137,98 +136,11 @@ def read_readings(
         tx_m=tx,
         rx_m=rx,
         warnings=tuple(notes),
-        alternatives=_alternatives(table, tx, rx),
+        alternatives=alternatives(table, tx, rx),
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
     )
     readings, more = sanity.check_rows(table, readings)
     return replace(readings, warnings=(*readings.warnings, *more))
-
-
-def _geometry(table: Table) -> tuple[FloatArray, FloatArray | None, FloatArray | None, list[str]]:
-    """Distances (n,), and positions (n, 2) where the file gives them."""
-    have = table.columns
-    tx = rx = None
-    climb = np.zeros(len(table))
-    if "tx_up_m" in have and "rx_up_m" in have:
-        climb = table.numbers("rx_up_m") - table.numbers("tx_up_m")
-    if all(name in have for name in _TX_RX):
-        east0, north0, east1, north1 = (table.numbers(name) for name in _TX_RX)
-        tx, rx = np.column_stack([east0, north0]), np.column_stack([east1, north1])
-    elif all(name in have for name in _LAT_LON):
-        tx, rx = _local(table)
-    between = None if tx is None or rx is None else np.hypot(np.hypot(*(rx - tx).T), climb)
-    if "distance_m" not in have and between is None:
-        raise DataError(
-            f"{table.path}: no distances; give distance_m, or {', '.join(_TX_RX)}, or {', '.join(_LAT_LON)}"
-        )
-    notes: list[str] = []
-    if "distance_m" in have:
-        distance = table.numbers("distance_m")
-        if between is not None:
-            far_off = np.abs(distance - between) > 0.05 + 0.05 * distance
-            if far_off.any():
-                row = int(np.argmax(far_off))
-                notes.append(
-                    f"{far_off.sum()} rows have a distance_m that their positions contradict, first in "
-                    f"line {table.lines[row]} ({distance[row]:g} m against {between[row]:.3g} m); "
-                    "distance_m was used"
-                )
-    else:
-        assert between is not None
-        distance = between
-    if np.any(distance <= 0.0):
-        row = int(np.argmax(distance <= 0.0))
-        raise table.error(row, f"the distance is {distance[row]:g} m; it must be above zero (metres)")
-    return distance, tx, rx, notes
-
-
-def _local(table: Table) -> tuple[FloatArray, FloatArray]:
-    """Latitude and longitude as metres east and north of the first receiver."""
-    values = {name: table.numbers(name) for name in _LAT_LON}
-    for name in ("tx_lat_deg", "rx_lat_deg"):
-        wrong = np.abs(values[name]) > 90.0
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            raise table.error(row, f"{name} is {values[name][row]:g}: latitude and longitude look swapped")
-    return _metres(values)
-
-
-def _metres(values: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-    import pymap3d
-
-    lat0, lon0 = values["rx_lat_deg"][0], values["rx_lon_deg"][0]
-
-    def metres(which: str) -> FloatArray:
-        lat, lon = values[f"{which}_lat_deg"], values[f"{which}_lon_deg"]
-        east, north, _ = pymap3d.geodetic2enu(lat, lon, 0.0, lat0, lon0, 0.0)
-        return np.column_stack([east, north])
-
-    return metres("tx"), metres("rx")
-
-
-def _alternatives(table: Table, tx: FloatArray | None, rx: FloatArray | None) -> dict[str, FloatArray]:
-    """Distances if coordinates were exchanged by mistake: for finding out whether they were."""
-    if tx is None or rx is None:
-        return {}
-    if "rx_lat_deg" in table.columns:
-        lat, lon, other = "lat_deg", "lon_deg", "latitude and longitude"
-        value = {name: table.numbers(name) for name in _LAT_LON}
-        swapped = {}
-        for whose, ends in (
-            ("the transmitter", ("tx",)),
-            ("the receiver", ("rx",)),
-            ("both ends", ("tx", "rx")),
-        ):
-            got = dict(value)
-            for end in ends:
-                got[f"{end}_{lat}"], got[f"{end}_{lon}"] = value[f"{end}_{lon}"], value[f"{end}_{lat}"]
-            if all(np.all(np.abs(got[f"{end}_{lat}"]) <= 90.0) for end in ends):
-                swapped[f"{other} of {whose} are exchanged"] = np.hypot(*np.subtract(*_metres(got)).T)
-        return swapped
-    return {
-        "east and north of the receiver are exchanged": np.hypot(*(rx[:, ::-1] - tx).T),
-        "east and north of the transmitter are exchanged": np.hypot(*(rx - tx[:, ::-1]).T),
-    }
 
 
 def _places(

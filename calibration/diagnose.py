@@ -6,8 +6,10 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calibration import likelihood
-from calibration.fit import FitResult, clustered, fitted_mean, make_rows
+from calibration.fit import FitResult
 from calibration.likelihood import Rows
+from calibration.observations import fitted_mean, make_rows
+from calibration.spread import clustered
 from fieldkit.messages import FloatArray
 
 SUSPECT_NATS, SURE_NATS = 3.0, 6.0

@@ -4,19 +4,19 @@
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
 
 import numpy as np
 
 from calibration import likelihood
 from calibration.dataset import Readings
 from calibration.likelihood import Rows
+from calibration.observations import Missed, first_guess, fitted_mean, make_rows
+from calibration.spread import clustered, split_sigma
 from calibration.threshold import Threshold, estimate_threshold
 from fieldkit.antenna.model import Antenna
 from fieldkit.errors import CalibrationRefused
 from fieldkit.messages import FloatArray
 
-Missed = Literal["auto", "counted", "none", "uncounted"]
 #: Packets this far above the weakest reading may still get lost where the threshold jitters: a first guess.
 RECENSOR_DB = 3.5
 #: Beyond this many standard deviations of the threshold's jitter every packet is received (99.4 %).
@@ -130,7 +130,7 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
     theta: FloatArray | None = None
     for _ in range(MAX_ROUNDS):
         rows = make_rows(readings, missed, censor, saturation, offsets)
-        theta, converged = likelihood.maximise(rows, _start(rows) if theta is None else theta)
+        theta, converged = likelihood.maximise(rows, first_guess(rows) if theta is None else theta)
         if saturation is None and _piles_up(theta, readings):
             saturation = float(level.max())
             continue
@@ -189,132 +189,12 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
     )
 
 
-def design(readings: Readings, receiver_offsets: bool = False) -> FloatArray:
-    """(n, p): columns for the power at 1 m, the exponent, and each receiver after the first."""
-    columns = [np.ones(len(readings.rss_dbm)), -10.0 * np.log10(readings.distance_m)]
-    if receiver_offsets and readings.receiver is not None:
-        columns += [(readings.receiver == i).astype(float) for i in range(1, len(readings.receivers))]
-    return np.column_stack(columns)
-
-
-def fitted_mean(theta: FloatArray, readings: Readings, receiver_offsets: bool = False) -> FloatArray:
-    """(n,) mean level of each packet."""
-    mean = design(readings, receiver_offsets) @ theta[:-1]
-    return mean if readings.gain_db is None else mean + readings.gain_db
-
-
-def make_rows(
-    readings: Readings,
-    missed: Missed,
-    censor_dbm: float | None,
-    saturation_dbm: float | None,
-    receiver_offsets: bool = False,
-    more: FloatArray | None = None,
-) -> Rows:
-    """Readings as distinct intervals. `censor_dbm`: at or below it packets may not have been received.
-
-    `more` (n, k) are further columns of the design, for patterns and tests of structure.
-    """
-    z = readings.rss_dbm
-    low, high = z - 0.5, z + 0.5
-    if saturation_dbm is not None:
-        high = np.where(z >= saturation_dbm, np.inf, high)
-        low = np.where(z >= saturation_dbm, saturation_dbm - 0.5, low)
-    seen_above = None
-    if missed == "counted" and censor_dbm is not None:
-        hidden = np.isnan(z) | (z <= censor_dbm)
-        low, high = np.where(hidden, -np.inf, low), np.where(hidden, censor_dbm + 0.5, high)
-        keep = np.ones(len(z), dtype=bool)
-    else:
-        keep = ~np.isnan(z)
-    if missed == "uncounted" and censor_dbm is not None:
-        keep &= z > censor_dbm
-        seen_above = censor_dbm + 0.5
-    matrix = design(readings, receiver_offsets)
-    receiver = readings.receiver if receiver_offsets and readings.receiver is not None else np.zeros(len(z))
-    keys = np.column_stack([readings.place, readings.distance_m, receiver, low, high])
-    if more is not None:
-        matrix, keys = np.column_stack([matrix, more]), np.column_stack([keys, more])
-    offset = np.zeros(len(z)) if readings.gain_db is None else readings.gain_db
-    keys = np.column_stack([keys, offset])[keep]
-    first, count = _distinct(keys)
-    chosen = np.flatnonzero(keep)[first]
-    return Rows(
-        matrix[chosen], low[chosen], high[chosen], count, readings.place[chosen], offset[chosen], seen_above
-    )
-
-
-def _distinct(keys: Any) -> tuple[np.ndarray, FloatArray]:
-    """First index and count of each distinct row of (n, k); np.unique(axis=0) is far slower."""
-    order = np.lexsort(keys.T)
-    new = np.ones(len(order), dtype=bool)
-    new[1:] = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
-    starts = np.flatnonzero(new)
-    return order[starts], np.diff(np.append(starts, len(order))).astype(float)
-
-
-def clustered(theta: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray, float]:
-    """Sandwich covariance by place, the naive one, and Student's t for 95 %.
-
-    Small-sample factor G/(G - p) and G - p degrees of freedom: with few places the plain sandwich is too sure
-    (Cameron and Miller, A practitioner's guide to cluster-robust inference, J. Human Resources 50, 2015).
-    """
-    from scipy.special import stdtrit
-
-    bread = np.asarray(np.linalg.pinv(likelihood.hessian(theta, rows)), dtype=float)
-    scores = likelihood.place_scores(theta, rows)
-    groups, p = scores.shape
-    spare = max(1, groups - p)
-    covariance: FloatArray = bread @ (scores.T @ scores) @ bread * groups / spare
-    return covariance, bread, float(stdtrit(spare, 0.975))
-
-
-def split_sigma(
-    readings: Readings, sigma_db: float, saturation_dbm: float | None
-) -> tuple[float | None, float | None]:
-    """Deviation within places and between them, from places where nothing was censored."""
-    within, freedom, places = 0.0, 0, 0
-    order = np.argsort(readings.place, kind="stable")
-    bounds = np.flatnonzero(np.diff(readings.place[order])) + 1
-    for rows in np.split(order, bounds):
-        z = readings.rss_dbm[rows]
-        hidden = np.isnan(z) | (False if saturation_dbm is None else z >= saturation_dbm)
-        same_distance = np.ptp(readings.distance_m[rows]) < 1e-9
-        if len(z) < 3 or hidden.any() or not same_distance:
-            continue
-        within, freedom, places = (
-            within + float(((z - z.mean()) ** 2).sum()),
-            freedom + len(z) - 1,
-            places + 1,
-        )
-    if places < 3:
-        return None, None
-    # Rounding to integers adds a variance of 1/12.
-    time2 = max(0.0, within / freedom - 1.0 / 12.0)
-    return float(np.sqrt(time2)), float(np.sqrt(max(0.0, sigma_db**2 - time2)))
-
-
 def _first_censor_level(level: FloatArray, missed: Missed) -> float | None:
     if missed == "none":
         return None
     return (
         float(np.floor(level.min() - 1.0 + RECENSOR_DB)) if missed == "counted" else float(level.min() - 1.0)
     )
-
-
-def _start(rows: Rows) -> FloatArray:
-    """Least squares on what was received; crude, but the likelihood is well-behaved from there."""
-    heard = np.isfinite(rows.low_dbm) & np.isfinite(rows.high_dbm)
-    level = np.where(heard, 0.5 * (rows.low_dbm + rows.high_dbm), 0.0)
-    level = np.where(np.isinf(rows.high_dbm), rows.low_dbm, level)
-    use = np.isfinite(rows.low_dbm)
-    root = np.sqrt(rows.count[use])
-    x, *_ = np.linalg.lstsq(
-        rows.design[use] * root[:, None], (level - rows.offset_dbm)[use] * root, rcond=None
-    )
-    residual = (level - rows.offset_dbm)[use] - rows.design[use] @ x
-    spread = np.sqrt(np.average(residual**2, weights=rows.count[use]))
-    return np.append(x, np.log(np.clip(spread, 0.5, 20.0)))
 
 
 def _piles_up(theta: FloatArray, readings: Readings) -> bool:
@@ -359,27 +239,3 @@ def _offsets(result: FitResult) -> dict[str, tuple[float, float]]:
     half = result.quantile * np.sqrt(np.diag(result.covariance))
     names = result.readings.receivers[1:]
     return {name: (float(result.theta[2 + i]), float(half[2 + i])) for i, name in enumerate(names)}
-
-
-def as_dict(result: FitResult) -> dict[str, Any]:
-    """The result in plain values, for `--json` and the antenna file."""
-    return {
-        "path_loss_exponent": result.antenna.path_loss_exponent,
-        "power_at_1m_dbm": result.antenna.power_at_1m_dbm,
-        "sigma_db": result.antenna.sigma_db,
-        "threshold_dbm": result.antenna.threshold_dbm,
-        "saturation_dbm": result.antenna.saturation_dbm,
-        "intervals_95": {name: list(pair) for name, pair in result.intervals_95.items()},
-        "sigma_time_db": result.sigma_time_db,
-        "sigma_place_db": result.sigma_place_db,
-        "threshold_jitter_db": result.threshold.jitter_db,
-        "missed": result.missed,
-        "converged": result.converged,
-        "n_readings": result.n_readings,
-        "n_missed": result.n_missed,
-        "n_saturated": result.n_saturated,
-        "n_places": result.n_places,
-        "n_outliers": result.n_outliers,
-        "n_lost_near": result.n_lost_near,
-        "receiver_offsets_db": {name: value for name, (value, _) in result.receiver_offsets_db.items()},
-    }

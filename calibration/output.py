@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.fit import FitResult, as_dict
+from calibration.fit import FitResult
 from calibration.patterns import Pattern
 from calibration.verdict import Judgement
 from fieldkit.antenna.file import AntennaFile
@@ -70,7 +70,7 @@ def plain(result: FitResult, judgement: Judgement, pattern: Pattern | None = Non
         "verdict": judgement.state,
         "refusals": list(judgement.refusals),
         "warnings": list(judgement.warnings),
-        **as_dict(result),
+        **_values(result),
     }
     # JSON has no word for infinity, which an interval from three places may well reach.
     return {name: _finite(value) for name, value in said.items()}
@@ -119,3 +119,27 @@ def words(result: FitResult, judgement: Judgement, pattern: Pattern | None = Non
     lines += [f"  refused: {text}" for text in judgement.refusals]
     lines += [f"  warning: {text}" for text in judgement.warnings]
     return "\n".join(lines)
+
+
+def _values(result: FitResult) -> dict[str, Any]:
+    """The result's numbers under the names they have everywhere."""
+    return {
+        "path_loss_exponent": result.antenna.path_loss_exponent,
+        "power_at_1m_dbm": result.antenna.power_at_1m_dbm,
+        "sigma_db": result.antenna.sigma_db,
+        "threshold_dbm": result.antenna.threshold_dbm,
+        "saturation_dbm": result.antenna.saturation_dbm,
+        "intervals_95": {name: list(pair) for name, pair in result.intervals_95.items()},
+        "sigma_time_db": result.sigma_time_db,
+        "sigma_place_db": result.sigma_place_db,
+        "threshold_jitter_db": result.threshold.jitter_db,
+        "missed": result.missed,
+        "converged": result.converged,
+        "n_readings": result.n_readings,
+        "n_missed": result.n_missed,
+        "n_saturated": result.n_saturated,
+        "n_places": result.n_places,
+        "n_outliers": result.n_outliers,
+        "n_lost_near": result.n_lost_near,
+        "receiver_offsets_db": {name: value for name, (value, _) in result.receiver_offsets_db.items()},
+    }

@@ -13,8 +13,9 @@ import numpy as np
 
 from calibration import likelihood
 from calibration.dataset import Readings
-from calibration.fit import FitResult, Options, fit, make_rows
+from calibration.fit import FitResult, Options, fit
 from calibration.likelihood import Rows
+from calibration.observations import make_rows
 from fieldkit.errors import DataError
 from fieldkit.messages import FloatArray
 
