@@ -21,7 +21,7 @@ from fieldkit.messages import FloatArray
 RECENSOR_DB = 3.5
 #: Beyond this many standard deviations of the threshold's jitter every packet is received (99.4 %).
 SAFE_JITTERS = 2.5
-MAX_ROUNDS = 12
+MAX_ROUNDS, OUTLIER_ROUNDS = 12, 6
 #: Farther from its mean, in sigma, a reading is another transmitter or a fault (normal: 1 in 2 million).
 OUTLIER_SIGMA = 5.0
 PARAMETERS = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
@@ -128,7 +128,7 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
     level = readings.rss_dbm[~readings.missed]
     censor = _first_censor_level(level, missed)
     theta: FloatArray | None = None
-    for _ in range(MAX_ROUNDS):
+    for number in range(MAX_ROUNDS):
         rows = make_rows(readings, missed, censor, saturation, offsets)
         theta, converged = likelihood.maximise(rows, first_guess(rows) if theta is None else theta)
         if saturation is None and _piles_up(theta, readings):
@@ -136,7 +136,8 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
             continue
         odd, lost = _odd(theta, readings, censor, offsets)
         # More than a few are no outliers but another model; the verdict sees them in the residuals.
-        if (odd | lost).any() and odd.sum() <= 0.02 * len(level) + 1:
+        few = odd.sum() <= 0.02 * len(level) + 1 and number < OUTLIER_ROUNDS
+        if few and (odd | lost).any():
             n_outliers, n_lost = n_outliers + int(odd.sum()), n_lost + int(lost.sum())
             readings = readings.keep(~(odd | lost))
             continue
@@ -144,11 +145,9 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
         sigma = float(np.exp(theta[-1]))
         threshold = estimate_threshold(mean, sigma, readings, missed)
         # A threshold that jitters loses packets well above it: count that whole region as hidden, fit again.
-        wanted = (
-            censor
-            if not threshold.jitter_db
-            else float(np.floor(threshold.dbm + SAFE_JITTERS * threshold.jitter_db))
-        )
+        if not threshold.jitter_db:
+            break
+        wanted = float(np.floor(threshold.dbm + SAFE_JITTERS * threshold.jitter_db))
         if wanted == censor:
             break
         censor = wanted
