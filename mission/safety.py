@@ -190,15 +190,21 @@ class Safety:
 
     def _tame(self, target: Waypoint, pose: Pose) -> Waypoint:
         """The way-point within leg, fence and speed; unchanged when it is already."""
+        east, north = self._inside(target.east_m, target.north_m)
         s = self.settings
-        east, north = target.east_m, target.north_m
         leg = math.hypot(east - pose.east_m, north - pose.north_m)
         if leg > s.max_leg_m:
             east = pose.east_m + (east - pose.east_m) * s.max_leg_m / leg
             north = pose.north_m + (north - pose.north_m) * s.max_leg_m / leg
-        margin_e = min(s.fence_margin_m, s.size_east_m / 2)
-        margin_n = min(s.fence_margin_m, s.size_north_m / 2)
-        east = min(max(east, margin_e), s.size_east_m - margin_e)
-        north = min(max(north, margin_n), s.size_north_m - margin_n)
+            east, north = self._inside(east, north)  # from outside the fence, the way in comes first
         speed = min(max(target.speed_m_s, 0.0), s.max_speed_m_s)
         return Waypoint(east, north, speed, target.up_m)
+
+    def _inside(self, east_m: float, north_m: float) -> tuple[float, float]:
+        s = self.settings
+        margin_e = min(s.fence_margin_m, s.size_east_m / 2)
+        margin_n = min(s.fence_margin_m, s.size_north_m / 2)
+        return (
+            min(max(east_m, margin_e), s.size_east_m - margin_e),
+            min(max(north_m, margin_n), s.size_north_m - margin_n),
+        )

@@ -263,58 +263,51 @@ def _lookup(table: FloatArray, x: float, half_width: float, per_db: float) -> fl
     return (1.0 - share) * table[k] + share * table[k + 1]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy")
-def pairwise_loglik(
-    points: FloatArray,
-    robots: FloatArray,
+@njit(cache=True, nogil=True, error_model="numpy")
+def squared_ranges(east: FloatArray, north: FloatArray, robots: FloatArray, floor2: float, out: FloatArray) -> None:
+    """out (m, n): squared distance from robot to point, at least floor2."""
+    for q in range(robots.shape[0]):
+        for i in range(east.shape[0]):
+            de = east[i] - robots[q, 0]
+            dn = north[i] - robots[q, 1]
+            out[q, i] = max(de * de + dn * dn, floor2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pair_lookups(
+    log_d2: FloatArray,
     rss: FloatArray,
-    ten_beta: float,
     threshold: float,
-    min_range: float,
-    log_e11: FloatArray,
-    log_e10: FloatArray,
+    steps_per_log: float,
     half_width: float,
     per_db: float,
+    log_e11: FloatArray,
+    log_e10: FloatArray,
     out: FloatArray,
 ) -> None:
-    """out (n,): PRWA Theorem 1 (eq 19) in logs, one logarithm per robot and point, one look-up per pair and point."""
-    n = points.shape[0]
-    m = robots.shape[0]
-    factor = 0.5 * ten_beta / math.log(10.0) * per_db
-    floor2 = min_range * min_range
-    # The pairs and their offsets in the tables, once for all points.
-    first = np.empty(m * m, dtype=np.int64)
-    second = np.empty(m * m, dtype=np.int64)
-    offset = np.empty(m * m)
-    silent = np.empty(m * m, dtype=np.bool_)
-    count = 0
+    """out (n,): PRWA Theorem 1 (eq 19) in logs: one look-up per pair and point, each unordered pair once.
+
+    `log_d2` (m, n) is the natural logarithm of the squared distances.
+    """
+    m, n = log_d2.shape
+    top = log_e11.shape[0] - 2 + 0.999999
     for p in range(m):
         if math.isnan(rss[p]):
             continue
         for q in range(m):
-            other_silent = math.isnan(rss[q])
-            if other_silent or p < q:
-                first[count], second[count], silent[count] = p, q, other_silent
-                delta = rss[p] - threshold if other_silent else rss[p] - rss[q]
-                offset[count] = (half_width - delta) * per_db
-                count += 1
-    top = log_e11.shape[0] - 2
-    a = np.empty(m)
-    for i in range(n):
-        for q in range(m):
-            de = points[i, 0] - robots[q, 0]
-            dn = points[i, 1] - robots[q, 1]
-            a[q] = factor * math.log(max(de * de + dn * dn, floor2))
-        total = 0.0
-        for k in range(count):
-            at = min(max(a[second[k]] - a[first[k]] + offset[k], 0.0), top + 0.999999)
-            index = int(at)
-            share = at - index
-            if silent[k]:
-                total += log_e10[index] + share * (log_e10[index + 1] - log_e10[index])
-            else:
-                total += log_e11[index] + share * (log_e11[index + 1] - log_e11[index])
-        out[i] = total
+            silent = math.isnan(rss[q])
+            if p == q or (p > q and not silent):
+                continue
+            table = log_e10 if silent else log_e11
+            delta = rss[p] - threshold if silent else rss[p] - rss[q]
+            shift = (half_width - delta) * per_db
+            a = log_d2[p]
+            b = log_d2[q]
+            for i in range(n):
+                at = min(max((b[i] - a[i]) * steps_per_log + shift, 0.0), top)
+                index = int(at)
+                low = table[index]
+                out[i] += low + (at - index) * (table[index + 1] - low)
 
 
 @njit(cache=True, nogil=True)

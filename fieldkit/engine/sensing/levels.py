@@ -32,6 +32,8 @@ OUTSIDE_DB = (4.0, 8.0, 12.0)
 """How far beyond the weakest and strongest known level the hypotheses of a wrong power set lie."""
 PRIOR_OUTSIDE = 0.04
 PRIOR_VARYING = 0.1
+_STEPS = 4096
+"""Steps of the hearing tables in squared distance, out to `reach_m`."""
 
 
 class LevelsModel:
@@ -67,11 +69,11 @@ class LevelsModel:
         """Beyond this, not one packet in 500 of the strongest known level is heard."""
         self.reach_outside_m = self._reach_m(self.power_db.max())
         """The same for the strongest hypothesis."""
-        self.step2_m2 = self.reach_m**2 / 1024
+        self.step2_m2 = self.reach_m**2 / _STEPS
         squared = (np.arange(int(self.reach_outside_m**2 / self.step2_m2) + 2) + 0.5) * self.step2_m2
         self.hear = np.exp(self.log_hear(np.sqrt(squared), self.level_dbm[:, None]))
         """(h - 1, steps) P(one robot hears) at squared distances (k + 1/2) * step2_m2."""
-        self.hear_known_mean = np.ascontiguousarray(self.hear[: known.size, :1026].mean(axis=0))
+        self.hear_known_mean = np.ascontiguousarray(self.hear[: known.size, : _STEPS + 2].mean(axis=0))
         """(steps,) the same averaged over the known levels, up to `reach_m`."""
 
     def log_hear(self, range_m: FloatArray, level_dbm: FloatArray) -> FloatArray:

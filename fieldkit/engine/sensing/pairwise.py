@@ -79,23 +79,26 @@ class PairwiseModel:
 
     def __init__(self, antenna: Antenna, points_m: FloatArray, min_range_m: float) -> None:
         self.antenna = antenna
-        self.points_m = np.ascontiguousarray(points_m)
-        self.min_range_m = min_range_m
+        self._east_m, self._north_m = np.ascontiguousarray(points_m[:, 0]), np.ascontiguousarray(points_m[:, 1])
+        self._floor_m2 = min_range_m**2
         self._tables = tables(antenna.sigma_db)
+        self._steps_per_log = 5.0 * antenna.path_loss_exponent / np.log(10.0) / STEP_DB
 
     def log_likelihood(self, detection: Detection) -> FloatArray:
         """(n,) log of Theorem 1's product without its constant."""
-        out = np.zeros(self.points_m.shape[0])
-        kernels.pairwise_loglik(
-            self.points_m,
-            detection.position_m,
+        # numpy's logarithm is vectorised, a compiled loop's is not.
+        log_d2 = np.empty((detection.position_m.shape[0], self._east_m.size))
+        kernels.squared_ranges(self._east_m, self._north_m, detection.position_m, self._floor_m2, log_d2)
+        np.log(log_d2, out=log_d2)
+        out = np.zeros(self._east_m.size)
+        kernels.pair_lookups(
+            log_d2,
             detection.rss_dbm,
-            10.0 * self.antenna.path_loss_exponent,
             self.antenna.threshold_dbm,
-            self.min_range_m,
-            *self._tables,
+            self._steps_per_log,
             RANGE_DB,
             1.0 / STEP_DB,
+            *self._tables,
             out,
         )
         return out

@@ -1,0 +1,107 @@
+"""The kernel: pure, repeatable, and steering only what is its to steer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fieldkit.messages import EndMission, GoTo, Operator, Pose, RssReading, Tick, VehicleState
+from fieldkit.world.sources import TransientSource
+from mission.kernel import Kernel, KernelSettings, state_digest
+from mission.simulate import Truth, simulate
+from mission.synthetic import ANTENNA, LEVELS_DB, small_mission
+
+S = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> KernelSettings:
+    return small_mission(tmp_path_factory.mktemp("mission")).kernel
+
+
+def started(settings: KernelSettings, mode: str = "guided") -> Kernel:
+    kernel = Kernel(settings)
+    for index, robot in enumerate(settings.engine.robots):
+        kernel.step(VehicleState(0, robot, mode, True))  # type: ignore[arg-type]
+        kernel.step(Pose(0, robot, 2.0 + index, 1.0))
+    return kernel
+
+
+def test_the_first_tick_sends_every_team_off(settings: KernelSettings) -> None:
+    outcome = started(settings).step(Tick(0))
+    assert {c.robot for c in outcome.commands if isinstance(c, GoTo)} == set(settings.engine.robots)
+    assert outcome.plan is not None
+
+
+def test_robots_that_are_not_ours_are_not_steered(settings: KernelSettings) -> None:
+    kernel = started(settings, mode="other")
+    assert kernel.step(Tick(0)).commands == ()
+    kernel.step(VehicleState(0, "r3", "guided", True))
+    outcome = kernel.step(Tick(S))
+    assert {c.robot for c in outcome.commands} == {"r3"}
+
+
+def test_a_mission_without_a_steerable_robot_ends_and_says_why(settings: KernelSettings) -> None:
+    kernel = started(replace(settings, max_duration_s=1000.0))
+    kernel.step(Tick(0))
+    for robot in settings.engine.robots:
+        kernel.step(VehicleState(S, robot, "other", True))
+    ends = [c for t in range(1, 400) for c in kernel.step(Tick(t * S)).commands if isinstance(c, EndMission)]
+    assert len(ends) == 1 and "no robot could be steered" in ends[0].reason
+
+
+def test_the_operators_hold_stops_steering_and_resume_starts_it(settings: KernelSettings) -> None:
+    kernel = started(settings)
+    kernel.step(Tick(0))
+    kernel.step(Operator(S, "hold"))
+    assert kernel.step(Tick(2 * S)).commands == ()
+    kernel.step(Operator(3 * S, "resume"))
+    assert kernel.step(Tick(4 * S)).commands != ()
+
+
+def test_the_next_leg_comes_when_the_team_has_arrived(settings: KernelSettings) -> None:
+    kernel = started(settings)
+    first = {c.robot: c.waypoint for c in kernel.step(Tick(0)).commands if isinstance(c, GoTo)}
+    for robot in ("r1", "r2"):
+        kernel.step(Pose(S, robot, first[robot].east_m, first[robot].north_m))
+    second = {c.robot for c in kernel.step(Tick(S)).commands}
+    assert second == {"r1", "r2"}
+
+
+def test_time_up_ends_the_mission_once(settings: KernelSettings) -> None:
+    kernel = started(replace(settings, max_duration_s=10.0))
+    kernel.step(Tick(0))
+    (end,) = [c for c in kernel.step(Tick(11 * S)).commands if isinstance(c, EndMission)]
+    assert "time is up" in end.reason
+    assert kernel.step(Tick(12 * S)).commands == ()
+
+
+def test_events_of_strangers_change_nothing(settings: KernelSettings) -> None:
+    kernel, other = started(settings), started(settings)
+    kernel.step(RssReading(S, "stranger", -60.0))
+    kernel.step(Pose(S, "stranger", 1.0, 1.0))
+    kernel.step(VehicleState(S, "stranger", "guided", True))
+    for k in (kernel, other):
+        k.step(Tick(5 * S))
+    assert state_digest(kernel) == state_digest(other)
+
+
+def test_the_same_inbox_gives_the_same_state_and_another_seed_another(settings: KernelSettings) -> None:
+    sources = (TransientSource(3.0, 4.0, -2.0, 0.2),)
+    truth = Truth(ANTENNA, sources, ((2.0, 1.0), (2.6, 1.0), (7.0, 1.0), (7.6, 1.0)))
+    short = replace(settings, max_duration_s=60.0, sources_expected=5)
+    digests = [state_digest(simulate(short, truth, 3).kernel) for _ in range(2)]
+    reseeded = replace(short, engine=replace(short.engine, seed=99))
+    assert digests[0] == digests[1]
+    assert state_digest(simulate(reseeded, truth, 3).kernel) != digests[0]
+
+
+def test_a_simulated_mission_finds_its_source(settings: KernelSettings) -> None:
+    sources = (TransientSource(6.3, 5.1, -2.0, 0.2),)
+    truth = Truth(ANTENNA, sources, ((2.0, 1.0), (2.6, 1.0), (7.0, 1.0), (7.6, 1.0)))
+    result = simulate(replace(settings, max_duration_s=1500.0, sources_expected=1), truth, 1)
+    assert result.end_reason == "all 1 expected sources are found"
+    assert result.false_finds == 0
+    (found,) = [s for s in result.kernel.sources() if s.state == "found"]
+    assert np.hypot(found.east_m - 6.3, found.north_m - 5.1) < 0.4
+    assert set(LEVELS_DB) == set(settings.engine.power_levels_db)

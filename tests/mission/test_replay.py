@@ -1,0 +1,62 @@
+"""A recording replays bit for bit, whole or cut; any change is named by the event that shows it first."""
+
+from pathlib import Path
+
+import pytest
+
+from fieldkit.antenna.file import read_antenna
+from fieldkit.errors import RecordingError, ReplayMismatch
+from fieldkit.recording.reader import open_recording
+from mission.replay import recorded_mission, replay, what_if
+from mission.synthetic import record_simulated
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record_simulated(tmp_path_factory.mktemp("log"), seed=2, duration_s=150.0)
+
+
+def test_a_whole_recording_gives_the_same_belief_and_commands(log: Path) -> None:
+    done = replay(log)
+    result = open_recording(log).result()
+    assert result is not None
+    assert done.complete
+    assert done.kernel.digest() == result["belief_hash"]
+    assert done.kernel.commands_digest() == result["commands_hash"]
+    assert done.kernel.detections > 0
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
+def test_a_cut_recording_replays_as_far_as_it_goes(log: Path, tmp_path: Path, share: float) -> None:
+    cut = tmp_path / "cut.mcap"
+    data = log.read_bytes()
+    cut.write_bytes(data[: int(share * len(data))])
+    done = replay(cut)
+    assert not done.complete and done.missing
+    assert 0 < done.events < replay(log).events
+
+
+def test_another_antenna_is_noticed_and_the_event_named(log: Path, tmp_path: Path) -> None:
+    text = (log.parent / "antenna.toml").read_text().replace("sigma_db = 3.3", "sigma_db = 4.3")
+    other = tmp_path / "antenna.toml"
+    other.write_text(text)
+    mission = recorded_mission(open_recording(log), read_antenna(other), text)
+    with pytest.raises(ReplayMismatch, match=r"event \d+ \(Tick"):
+        replay(log, mission=mission)
+
+
+def test_another_engine_is_a_what_if(log: Path) -> None:
+    mission = what_if(recorded_mission(open_recording(log)), belief="spog", planner="prwa")
+    done = replay(log, mission=mission, check=False)
+    assert done.kernel.detections == replay(log).kernel.detections
+
+
+def test_until_stops_early(log: Path) -> None:
+    assert replay(log, until_s=50.0).duration_s <= 50.0
+
+
+def test_what_is_no_recording_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "notes.mcap"
+    path.write_text("not a recording")
+    with pytest.raises(RecordingError, match=r"notes\.mcap"):
+        replay(path)

@@ -1,0 +1,117 @@
+"""Safety: no command passes it that should not, and it acts by itself when a robot must stop."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fieldkit.messages import GoTo, Hold, Operator, Pose, Return, Tick, VehicleState, Waypoint
+from mission.safety import Safety, SafetySettings
+
+S = 1_000_000_000
+LIMITS = SafetySettings(
+    ("a", "b"), 10.0, 8.0, fence_margin_m=0.5, max_speed_m_s=0.4, max_leg_m=6.0, pose_timeout_s=2.0
+)
+
+
+def ready(t_ns: int = 0) -> Safety:
+    safety = Safety(LIMITS)
+    for robot, east in (("a", 2.0), ("b", 6.0)):
+        safety.observe(VehicleState(t_ns, robot, "guided", True))
+        safety.observe(Pose(t_ns, robot, east, 2.0))
+    return safety
+
+
+def goto(east: float, north: float, speed: float = 0.3, robot: str = "a", t_ns: int = 0) -> GoTo:
+    return GoTo(t_ns, robot, Waypoint(east, north, speed))
+
+
+def test_a_good_command_passes_unchanged() -> None:
+    assert ready().allow(goto(3.0, 4.0)) == goto(3.0, 4.0)
+
+
+@given(
+    east=st.floats(allow_nan=True, allow_infinity=True),
+    north=st.floats(allow_nan=True, allow_infinity=True),
+    speed=st.floats(allow_nan=True, allow_infinity=True),
+)
+def test_nothing_leaves_the_fence_or_exceeds_speed_and_leg(east: float, north: float, speed: float) -> None:
+    allowed = ready().allow(goto(east, north, speed))
+    if isinstance(allowed, Hold):
+        assert not all(map(math.isfinite, (east, north, speed)))
+        return
+    assert isinstance(allowed, GoTo)
+    target = allowed.waypoint
+    assert 0.5 <= target.east_m <= 9.5 and 0.5 <= target.north_m <= 7.5
+    assert 0.0 <= target.speed_m_s <= 0.4
+    assert math.hypot(target.east_m - 2.0, target.north_m - 2.0) <= 6.0 + 1e-9
+
+
+def test_a_stale_pose_holds_a_moving_robot_once_and_again_until_it_holds() -> None:
+    safety = ready()
+    safety.allow(goto(3.0, 4.0))
+    assert safety.observe(Tick(1 * S)) == []
+    holds = safety.observe(Tick(3 * S))
+    assert {h.robot for h in holds} == {"a", "b"}, "one that is free to move is held too"
+    assert all("old" in h.reason for h in holds)
+    assert safety.observe(Tick(4 * S)) == []
+    repeated = [c for c in safety.observe(Tick(7 * S)) if c.robot == "a"]
+    assert repeated, "a hold that the vehicle has not confirmed is repeated"
+    safety.observe(VehicleState(7 * S, "a", "hold", True))
+    assert [c for c in safety.observe(Tick(12 * S)) if c.robot == "a"] == []
+
+
+def test_a_lost_link_holds_and_refuses_new_targets() -> None:
+    safety = ready()
+    safety.allow(goto(3.0, 4.0))
+    safety.observe(VehicleState(S, "a", "guided", True, link_up=False, text="no heartbeat for 5 s"))
+    holds = safety.observe(Tick(S))
+    assert [h.robot for h in holds] == ["a"] and "link" in holds[0].reason
+    assert isinstance(safety.allow(goto(3.0, 4.0)), Hold)
+    assert isinstance(safety.allow(goto(7.0, 3.0, robot="b", t_ns=S)), GoTo), "the other goes on"
+
+
+def test_an_unknown_position_or_robot_gets_no_target() -> None:
+    assert isinstance(Safety(LIMITS).allow(goto(3.0, 4.0)), Hold)
+    assert isinstance(ready().allow(goto(3.0, 4.0, robot="stranger")), Hold)
+
+
+def test_a_moving_robot_outside_the_fence_is_held() -> None:
+    safety = ready()
+    safety.allow(goto(3.0, 4.0))
+    safety.observe(Pose(S, "a", 2.0, 8.8))
+    (hold,) = safety.observe(Tick(S))
+    assert "outside the fence" in hold.reason
+
+
+def test_of_two_robots_too_near_the_later_named_one_holds() -> None:
+    safety = ready()
+    for robot in ("a", "b"):
+        safety.allow(goto(3.0, 4.0, robot=robot))
+    safety.observe(Pose(S, "a", 3.0, 3.0))
+    safety.observe(Pose(S, "b", 3.1, 3.0))
+    holds = safety.observe(Tick(S))
+    assert [h.robot for h in holds] == ["b"]
+
+
+def test_the_operators_hold_stands_until_resumed() -> None:
+    safety = ready()
+    assert {c.robot for c in safety.observe(Operator(S, "hold"))} == {"a", "b"}
+    assert isinstance(safety.allow(goto(3.0, 4.0)), Hold)
+    safety.observe(Operator(S, "resume", "a"))
+    assert isinstance(safety.allow(goto(3.0, 4.0)), GoTo)
+    assert isinstance(safety.allow(goto(3.0, 4.0, robot="b")), Hold)
+
+
+def test_return_is_ordered_once_and_not_undone_by_holds() -> None:
+    safety = ready()
+    assert all(isinstance(c, Return) for c in safety.observe(Operator(S, "return")))
+    safety.observe(VehicleState(2 * S, "a", "return", True))
+    assert [c for c in safety.observe(Tick(60 * S)) if c.robot == "a"] == []
+
+
+@pytest.mark.parametrize("action", ["hold", "end"])
+def test_end_holds_everything(action: str) -> None:
+    safety = ready()
+    assert len(safety.observe(Operator(S, action))) == 2  # type: ignore[arg-type]
