@@ -8,7 +8,7 @@ import numpy as np
 from calibration import likelihood
 from calibration.dataset import Readings
 from calibration.observations import Missed, make_rows
-from calibration.spread import clustered
+from calibration.spread import clustered, standard_errors
 from fieldkit.antenna.file import AntennaFile
 from fieldkit.errors import DataError
 
@@ -48,7 +48,7 @@ def check(antenna_file: AntennaFile, readings: Readings) -> Check:
     rows = likelihood.Rows(rows.design[:, :1], rows.low_dbm, rows.high_dbm, rows.count, rows.place, predicted)
     theta, converged = likelihood.maximise(rows, np.array([0.0, np.log(antenna.sigma_db)]))
     covariance, _, quantile = clustered(theta, rows)
-    half = quantile * np.sqrt(np.diag(covariance))
+    half = quantile * standard_errors(covariance)
     offset, sigma = float(theta[0]), float(np.exp(theta[1]))
     offset_95 = (offset - float(half[0]), offset + float(half[0]))
     sigma_95 = (float(np.exp(theta[1] - half[1])), float(np.exp(theta[1] + half[1])))

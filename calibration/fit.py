@@ -11,7 +11,7 @@ from calibration import likelihood
 from calibration.dataset import Readings
 from calibration.likelihood import Rows
 from calibration.observations import Missed, first_guess, fitted_mean, make_rows
-from calibration.spread import clustered, split_sigma
+from calibration.spread import clustered, split_sigma, standard_errors
 from calibration.threshold import Threshold, estimate_threshold
 from fieldkit.antenna.model import Antenna
 from fieldkit.errors import CalibrationRefused
@@ -81,7 +81,7 @@ class FitResult:
 
     def errors(self) -> dict[str, float]:
         """Standard errors, clustered."""
-        root = np.sqrt(np.diag(self.covariance))
+        root = standard_errors(self.covariance)
         return {**dict(zip(PARAMETERS[:2], root, strict=False)), "sigma_db": root[-1] * self.antenna.sigma_db}
 
     def mean_dbm(self, distance_m: FloatArray) -> FloatArray:
@@ -130,6 +130,11 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
     theta: FloatArray | None = None
     for number in range(MAX_ROUNDS):
         rows = make_rows(readings, missed, censor, saturation, offsets)
+        if not np.isfinite(rows.low_dbm).any():
+            raise CalibrationRefused(
+                f"{readings.name}: every reading is so near the threshold that receiving it may be chance; "
+                "collect nearer to the transmitter"
+            )
         theta, converged = likelihood.maximise(rows, first_guess(rows) if theta is None else theta)
         if saturation is None and _piles_up(theta, readings):
             saturation = float(level.max())
@@ -191,9 +196,10 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
 def _first_censor_level(level: FloatArray, missed: Missed) -> float | None:
     if missed == "none":
         return None
-    return (
-        float(np.floor(level.min() - 1.0 + RECENSOR_DB)) if missed == "counted" else float(level.min() - 1.0)
-    )
+    weakest = float(level.min())
+    safe = float(np.floor(weakest - 1.0 + RECENSOR_DB))
+    # Caution must not hide most of what there is.
+    return safe if missed == "counted" and np.mean(level > safe) > 0.5 else weakest - 1.0
 
 
 def _piles_up(theta: FloatArray, readings: Readings) -> bool:
@@ -224,7 +230,7 @@ def _odd(
 
 
 def _intervals(result: FitResult) -> dict[str, tuple[float, float]]:
-    half = result.quantile * np.sqrt(np.diag(result.covariance))
+    half = result.quantile * standard_errors(result.covariance)
     low, high = result.theta - half, result.theta + half
     return {
         "power_at_1m_dbm": (float(low[0]), float(high[0])),
@@ -235,6 +241,6 @@ def _intervals(result: FitResult) -> dict[str, tuple[float, float]]:
 
 
 def _offsets(result: FitResult) -> dict[str, tuple[float, float]]:
-    half = result.quantile * np.sqrt(np.diag(result.covariance))
+    half = result.quantile * standard_errors(result.covariance)
     names = result.readings.receivers[1:]
     return {name: (float(result.theta[2 + i]), float(half[2 + i])) for i, name in enumerate(names)}

@@ -13,6 +13,7 @@ from scipy.special import log_ndtr
 from fieldkit.messages import FloatArray
 
 _LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
+_LARGEST_EXPONENT = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +58,9 @@ def interval_terms(mean: FloatArray, sigma: float, low: FloatArray, high: FloatA
     near, far = np.where(turn, -a, b), np.where(turn, -b, a)
     log_near, log_far = log_ndtr(near), log_ndtr(far)
     value = log_near + np.log(-np.expm1(np.minimum(log_far - log_near, -1e-300)))
-    pa = np.exp(-0.5 * a * a - _LOG_SQRT_2PI - value)
-    pb = np.exp(-0.5 * b * b - _LOG_SQRT_2PI - value)
+    # Where sigma is absurdly small the difference is rounding noise; it must only stay finite.
+    pa = np.exp(np.minimum(-0.5 * a * a - _LOG_SQRT_2PI - value, _LARGEST_EXPONENT))
+    pb = np.exp(np.minimum(-0.5 * b * b - _LOG_SQRT_2PI - value, _LARGEST_EXPONENT))
     # At an infinite end the density is zero, and so is every product with it.
     a, b = np.where(np.isinf(a), 0.0, a), np.where(np.isinf(b), 0.0, b)
     pull, spread = pa - pb, a * pa - b * pb

@@ -47,3 +47,8 @@ def split_sigma(
     # Rounding to integers adds a variance of 1/12.
     time2 = max(0.0, within / freedom - 1.0 / 12.0)
     return float(np.sqrt(time2)), float(np.sqrt(max(0.0, sigma_db**2 - time2)))
+
+
+def standard_errors(covariance: FloatArray) -> FloatArray:
+    """Roots of the diagonal; rounding may have left a variance of zero just below it."""
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
