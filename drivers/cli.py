@@ -80,3 +80,51 @@ def field(
         EmulatedRobot(f"robot{n + 1}", n + 1, size_m * (n + 0.5) / robots, 0.5) for n in range(robots)
     )
     run_field(team, tuple(hidden), address, (47.3977, 8.5456), 0.4, rate, seed)
+
+
+def devices(
+    port: Annotated[list[str] | None, typer.Argument(help="Ports to open and ask as XBees.")] = None,
+    baud: Annotated[int, typer.Option(help="Baud rate of the ports asked.")] = 115200,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Say what is plugged in and what it can hear. Example: fieldkit devices /dev/ttyUSB0"""
+    import json
+
+    from drivers import inventory
+
+    found = [inventory.ask_xbee(each, baud) for each in port] if port else inventory.ports()
+    if as_json:
+        typer.echo(json.dumps(inventory.as_json(found)))
+        return
+    for each in found:
+        typer.echo(f"{each.port}: {each.what}")
+        for line in each.advice:
+            typer.echo(f"  {line}")
+    if not found:
+        typer.echo("no USB serial device is plugged in")
+
+
+def vehicles(
+    address: Annotated[str, typer.Option(help="Link to listen on.")] = "udpin:0.0.0.0:14550",
+    seconds: Annotated[float, typer.Option(min=1.0, help="How long to listen.")] = 5.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """List the vehicles heard on a link. Example: fieldkit vehicles --address udpin:0.0.0.0:14550"""
+    import json
+
+    from drivers import inventory
+
+    found = inventory.heard_vehicles(address, seconds)
+    if as_json:
+        typer.echo(json.dumps(found))
+        return
+    for each in found:
+        battery = "unknown" if each["battery_pct"] is None else f"{each['battery_pct']:.0f} %"
+        armed = "armed" if each["armed"] else "disarmed"
+        double = ", TWO VEHICLES HAVE THIS ID" if each["two_with_this_id"] else ""
+        typer.echo(
+            f"system {each['system_id']}: {each['firmware']}, {each['mode']}, {armed}, battery {battery}, "
+            f"from {each['address']}{double}"
+        )
+    if not found:
+        typer.echo(f"no vehicle heard on {address} in {seconds:g} s")

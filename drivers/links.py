@@ -8,6 +8,7 @@ import contextlib
 import os
 import select
 import socket
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -99,6 +100,39 @@ def open_link(url: str, baud: int, device: str) -> ByteLink:
         return SerialLink(url, baud)
     except (OSError, ValueError) as error:
         raise DeviceError(f"{device}: {_why(url, error)}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class UsbIdentity:
+    """What tells one USB device from another, wherever it is plugged in."""
+
+    vendor: int
+    product: int
+    serial: str
+
+
+def usb_identity(port: str) -> UsbIdentity | None:
+    """The USB device behind a port; None for anything else, and for one without a serial number."""
+    from serial.tools import list_ports
+
+    for there in list_ports.comports():
+        if os.path.realpath(there.device) == os.path.realpath(port) and there.vid and there.serial_number:
+            return UsbIdentity(there.vid, there.pid, there.serial_number)
+    return None
+
+
+def port_of(identity: UsbIdentity) -> str | None:
+    """Where a USB device is plugged in now; None if it is not."""
+    from serial.tools import list_ports
+
+    for there in list_ports.comports():
+        if (there.vid, there.pid, there.serial_number) == (
+            identity.vendor,
+            identity.product,
+            identity.serial,
+        ):
+            return str(there.device)
+    return None
 
 
 def host_and_port(text: str) -> tuple[str, int]:

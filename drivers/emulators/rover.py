@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from drivers.emulators.plans import PlanStore
 from drivers.mavlink.codec import Message, Packer, Parser, mavlink
 from drivers.mavlink.signing import Signer
 from fieldkit.geo import FieldFrame
@@ -76,6 +77,15 @@ class RoverAutopilot:
         self._heartbeat_s: float | None = None
         """When the ground station's last heartbeat came."""
         self._failsafe = False
+        self.plans = PlanStore()
+        self.parameters = {
+            "FS_GCS_ENABLE": 1.0 if self.gcs_failsafe_s else 0.0,
+            "FS_GCS_TIMEOUT": 5.0,
+            "FS_ACTION": 2.0,
+            "FENCE_ENABLE": 0.0,
+            "BATT_FS_LOW_ACT": 2.0,
+            "MAV_GCS_SYSID": 245.0,
+        }
         self._start_streams()
 
     def _start_streams(self) -> None:
@@ -95,6 +105,7 @@ class RoverAutopilot:
         """Drive on to `t_s`; what is sent until then."""
         self._move(t_s)
         self._watch_ground_station(t_s)
+        self._out += self.plans.update(t_s)
         for number, interval_s in self._interval_s.items():
             if interval_s > 0 and t_s >= self._due_s[number]:
                 late = t_s - self._due_s[number] > interval_s
@@ -145,6 +156,26 @@ class RoverAutopilot:
             self._ack(message, self._command_int(message))
         elif kind == "SET_POSITION_TARGET_GLOBAL_INT":
             self._position_target(message)
+        elif kind.startswith("MISSION_"):
+            self._out += self.plans.hear(message, t_s)
+        elif kind in ("PARAM_REQUEST_READ", "PARAM_SET"):
+            self._parameter(message)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            boot_ns = round((t_s - self.boot_s) * 1e9)
+            self._out.append(mavlink.MAVLink_timesync_message(boot_ns, message.ts1))
+
+    def _parameter(self, message: Message) -> None:
+        """A parameter that is not there is not answered."""
+        name = message.param_id
+        if name not in self.parameters:
+            return
+        if message.get_type() == "PARAM_SET":
+            self.parameters[name] = message.param_value
+            if name == "FS_GCS_ENABLE" and message.param_value == 0:
+                self.gcs_failsafe_s = 0.0
+        kind = mavlink.MAV_PARAM_TYPE_REAL32
+        value = float(self.parameters[name])
+        self._out.append(mavlink.MAVLink_param_value_message(name.encode(), value, kind, 1, 0))
 
     def _ack(self, command: Message, result: int) -> None:
         self._out.append(

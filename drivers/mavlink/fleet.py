@@ -5,8 +5,8 @@ import contextlib
 import logging
 import math
 import zlib
-from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -15,6 +15,7 @@ from drivers.handover import Handover
 from drivers.mavlink.codec import AUTOPILOT, GROUND_STATION, Message, Packer, Parser, mavlink
 from drivers.mavlink.commands import Commander, wait_for
 from drivers.mavlink.modes import COPTER, set_mode
+from drivers.mavlink.plans import FENCE, KINDS, Inbox, PlanItem, PlanTalk, polygon_fence
 from drivers.mavlink.signing import Signer, read_key
 from drivers.mavlink.transport import Peer, make_transport
 from drivers.mavlink.vehicle import Vehicle
@@ -76,6 +77,7 @@ class _Steering:
     resent: int = 0
     rates_asked_s: float = -math.inf
     waypoint: Waypoint | None = None
+    inboxes: list[Inbox] = field(default_factory=list)
 
 
 class MavlinkLink:
@@ -165,6 +167,9 @@ class MavlinkLink:
             if message.get_type() == "COMMAND_ACK":
                 self._commander.heard(message, message.get_srcSystem())
                 continue
+            for inbox in steering.inboxes:
+                if message.get_type() in inbox.kinds:
+                    inbox.put(message)
             self._put(steering.vehicle.heard(message, peer, now_s, now_ns))
             if message.get_type() == "HEARTBEAT":
                 waiters, self._heartbeat_waiters = self._heartbeat_waiters, []
@@ -379,6 +384,74 @@ class MavlinkLink:
             f"{vehicle.robot} (system {vehicle.system_id}): did not show mode {mode} within {CONFIRM_S:g} s"
             + ("" if vehicle.link_up else "; its link is lost")
         )
+
+    # Before a mission
+
+    async def upload_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> None:
+        """Put a polygon (east, north) into the vehicle as the fence it must stay in, and read it back.
+
+        Whether the vehicle acts on it is for its parameters: see `parameters`.
+        """
+        corners = [self._frame.to_geodetic(east_m, north_m) for east_m, north_m in corners_m]
+        await self.upload(
+            robot, FENCE, polygon_fence([(round(a * 1e7), round(o * 1e7)) for a, o, _ in corners])
+        )
+
+    async def upload(self, robot: str, kind: int, items: Sequence[PlanItem]) -> None:
+        """Put a mission, fence or rally points (`plans.MISSION`, `FENCE`, `RALLY`) into the vehicle."""
+        with self._talk(robot, kind) as talk:
+            await talk.upload(items)
+
+    async def download(self, robot: str, kind: int) -> list[PlanItem]:
+        """What the vehicle holds."""
+        with self._talk(robot, kind) as talk:
+            return await talk.download()
+
+    async def parameters(self, robot: str, names: Sequence[str]) -> dict[str, float | None]:
+        """Parameters as the vehicle has them; None where it does not answer: unknown, or a poor link."""
+        steering = self._of(robot)
+        vehicle = steering.vehicle
+        found: dict[str, float | None] = {}
+        with self._inbox(steering, ("PARAM_VALUE",)) as inbox:
+            for name in names:
+                found[name] = None
+                ask = mavlink.MAVLink_param_request_read_message(
+                    vehicle.system_id, AUTOPILOT, name.encode(), -1
+                )
+                for _ in range(3):
+                    self._send(vehicle, ask)
+                    message = await inbox.next(1.0)
+                    if message is not None and message.param_id == name:
+                        found[name] = message.param_value
+                        break
+        return found
+
+    @contextlib.contextmanager
+    def _talk(self, robot: str, kind: int) -> Iterator[PlanTalk]:
+        steering = self._of(robot)
+        vehicle = steering.vehicle
+        if not vehicle.link_up:
+            raise DeviceTimeout(f"{robot}: its link is lost")
+        self._refuse_double(vehicle)
+        with self._inbox(steering, KINDS) as inbox:
+            yield PlanTalk(
+                robot,
+                vehicle.system_id,
+                kind,
+                lambda message: self._send(vehicle, message),
+                inbox,
+                self._clock,
+                self._own_id,
+            )
+
+    @contextlib.contextmanager
+    def _inbox(self, steering: _Steering, kinds: Sequence[str]) -> Iterator[Inbox]:
+        inbox = Inbox(self._clock, kinds)
+        steering.inboxes.append(inbox)
+        try:
+            yield inbox
+        finally:
+            steering.inboxes.remove(inbox)
 
     # Guards
 

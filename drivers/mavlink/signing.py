@@ -2,8 +2,8 @@
 
 pymavlink's own check stores a stream's time stamp before it has verified the signature: one forged frame with
 a time far ahead locks the genuine sender out for ever. Here a stream's state changes only after its signature
-was found good. Layout (https://mavlink.io/en/guide/message_signing.html): link id, 6 bytes of time (10 us since
-2015), 6 bytes of SHA-256 over key, frame, link id and time.
+was found good. Layout, https://mavlink.io/en/guide/message_signing.html: link id, 6 bytes of time (10 us from
+2015 on), 6 bytes of SHA-256 over key, frame, link id and time.
 """
 
 import hashlib

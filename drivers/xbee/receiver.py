@@ -8,7 +8,7 @@ from typing import Any
 from digi.xbee.exception import InvalidOperatingModeException, XBeeException
 
 from drivers.keeper import KeptReceiver
-from drivers.links import open_link
+from drivers.links import UsbIdentity, open_link, port_of, usb_identity
 from drivers.options import checked
 from drivers.xbee.decode import WITHOUT_RSSI, decode
 from drivers.xbee.diagnose import why_silent
@@ -51,8 +51,13 @@ class XBeeReceiver(KeptReceiver):
         self._options = options
         self._device: ListenOnly | None = None
         self._saturation_dbm = SATURATION_DBM
+        self._port = options.port
+        self._usb: UsbIdentity | None = None
 
     def _open_device(self, first: bool) -> str:
+        # Plugged in again, a USB adapter may get another name; only that very adapter is asked anything.
+        if not first and self._usb is not None:
+            self._port = port_of(self._usb) or self._options.port
         device = self._connect(diagnose=first)
         try:
             settings = self._accept(read_settings(device))
@@ -63,13 +68,14 @@ class XBeeReceiver(KeptReceiver):
             device.close()
             raise
         self._device, self.settings = device, settings
+        self._usb = self._usb or usb_identity(self._port)
         self._saturation_dbm = self._options.saturation_dbm or settings.saturation_dbm
         for line in advice(settings) if first else ():
-            logger.warning("%s: %s: %s", self._name, self._options.port, line)
+            logger.warning("%s: %s: %s", self._name, self._port, line)
         return settings.describe()
 
     def _connect(self, *, diagnose: bool) -> ListenOnly:
-        port, baud = self._options.port, self._options.baud
+        port, baud = self._port, self._options.baud
         interface = FrameInterface(
             lambda: open_link(port, baud, self._name), self._clock.now_ns, self._on_frame, self._on_lost
         )
@@ -87,24 +93,24 @@ class XBeeReceiver(KeptReceiver):
         return device
 
     def _why_silent(self) -> str:
-        link = open_link(self._options.port, self._options.baud, self._name)
+        link = open_link(self._port, self._options.baud, self._name)
         try:
-            return why_silent(link, self._options.port, self._options.baud)
+            return why_silent(link, self._port, self._options.baud)
         finally:
             link.close()
 
     def _accept(self, settings: ModuleSettings) -> ModuleSettings:
         if reason := why_deaf(settings):
-            raise DeviceError(f"{self._name}: the module on {self._options.port} {reason}")
+            raise DeviceError(f"{self._name}: the module on {self._port} {reason}")
         wanted = self._options.channel
         if wanted is not None and settings.channel != wanted:
             raise DeviceError(
-                f"{self._name}: the module on {self._options.port} listens on channel {settings.channel}, "
+                f"{self._name}: the module on {self._port} listens on channel {settings.channel}, "
                 f"the mission wants {wanted}; set CH={wanted:X} with XCTU, or correct `channel`"
             )
         if self.settings is not None and settings.address != self.settings.address:
             raise DeviceError(
-                f"{self._name}: {self._options.port} now holds module {settings.address}, "
+                f"{self._name}: {self._port} now holds module {settings.address}, "
                 f"not {self.settings.address}; plug the right one back in"
             )
         return settings

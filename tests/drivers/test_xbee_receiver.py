@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from types import SimpleNamespace
 
 import pytest
 from benches import until
@@ -291,3 +292,24 @@ async def test_a_radio_that_hears_while_it_is_being_opened_opens(plug, listening
         task.cancel()
     await asyncio.wait({task})
     assert [state.up for state in heard.states] == [True]
+
+
+async def test_a_usb_radio_that_comes_back_under_another_name_is_found(plug, listening, monkeypatch):
+    """The adapter's USB serial number says which port; SH and SL say that it is the same radio."""
+    radio, elsewhere = await plug(), await plug()
+    elsewhere.unplug()
+    there = [SimpleNamespace(device=radio.wire.port, vid=0x0403, pid=0x6015, serial_number="DN04")]
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: list(there))
+    async with listening(radio.wire.port) as heard:
+        await heard.until(lambda: heard.states)
+        there.clear()
+        radio.unplug()
+        await heard.until(lambda: len(heard.states) == 2)
+        await elsewhere.plug()
+        there.append(
+            SimpleNamespace(device=elsewhere.wire.port, vid=0x0403, pid=0x6015, serial_number="DN04")
+        )
+        await heard.until(lambda: len(heard.states) == 3)
+        elsewhere.hear(-61.0, SENDER, b"x")
+        await heard.until(lambda: heard.readings)
+    assert [state.up for state in heard.states] == [True, False, True]

@@ -1,0 +1,45 @@
+"""What is plugged in, and who is heard."""
+
+import asyncio
+import json
+from types import SimpleNamespace
+
+import typer
+from benches import free_udp_port, rovers_on_udp
+from typer.testing import CliRunner
+
+from drivers import cli, inventory
+from fieldkit.clock import ScaledClock
+
+
+def run(function, *arguments):
+    app = typer.Typer()
+    app.command()(function)
+    return CliRunner().invoke(app, list(arguments))
+
+
+def test_ports_are_told_by_their_usb_identity(monkeypatch):
+    port = SimpleNamespace(device="/dev/ttyACM3", vid=0x1915, pid=0x154B, description="x")
+    monkeypatch.setattr(inventory.list_ports, "comports", lambda: [port])
+    assert "nrf-sniffer" in run(cli.devices).output
+
+
+async def test_an_xbee_is_told_with_what_it_cannot_hear(plug):
+    good, mute = await plug(MM=0), await plug(AO=0)
+    result = await asyncio.to_thread(run, cli.devices, good.wire.port, mute.wire.port, "--json")
+    found = json.loads(result.stdout)
+    assert "cannot hear other PANs" in found[0]["what"] and "MM=1" in found[0]["advice"][0]
+    assert "not usable" in found[1]["what"] and "AO=2" in found[1]["what"]
+
+
+async def test_vehicles_heard_on_a_link_are_listed():
+    port = free_udp_port()
+    async with rovers_on_udp({3: (0.0, 0.0), 8: (1.0, 0.0)}, ScaledClock(5.0), port) as rovers:
+        arguments = (cli.vehicles, "--address", f"udpin:127.0.0.1:{port}", "--seconds", "1", "--json")
+        result = await asyncio.to_thread(run, *arguments)
+    found = json.loads(result.stdout)
+    assert [(each["system_id"], each["firmware"], each["mode"]) for each in found] == [
+        (3, "ArduRover", "hold"),
+        (8, "ArduRover", "hold"),
+    ]
+    assert not rovers[0].got, "listening sent something"
