@@ -1,9 +1,9 @@
 """Messages to JSON and back, exactly: `decode(type(x), encode(x)) == x` for every message that goes to disk.
 
-A float64 survives because Python writes the shortest decimal that reads back as the same number. JSON has no
-word for nan and the infinities, so they are the strings "nan", "inf" and "-inf"; the sign and payload of a nan
-are not kept. A field whose value and default are both None is left out. Fields that this version does not know
-are ignored, missing ones take their default: what an older or a slightly newer schema 1 writes can be read.
+A float64 survives because Python writes the shortest decimal that reads back as the same number. JSON has
+no word for nan and the infinities, so they are the strings "nan", "inf" and "-inf"; the sign and payload of a
+nan are not kept. A field whose value and default are both None is left out. Fields that this version does
+not know are ignored, missing ones take their default: what an older schema 1 wrote can be read.
 """
 
 import json
