@@ -5,15 +5,18 @@ know how fast mission time runs.
 """
 
 import contextlib
+import math
 import os
-import select
 import socket
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import serial
 
+from drivers.arrival import wait_readable
+from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError
 
 READ_TIMEOUT_S = 0.1
@@ -23,6 +26,9 @@ CONNECT_TIMEOUT_S = 3.0
 
 class ByteLink(Protocol):
     """Bytes in, bytes out. Any method raises `OSError` when the device is gone."""
+
+    arrived_s: float
+    """When the first byte of what was read last came in, by `time.monotonic()`."""
 
     def read(self) -> bytes:
         """What has arrived, waiting up to `READ_TIMEOUT_S` for the first byte; empty if nothing came."""
@@ -47,11 +53,22 @@ class SerialLink:
         if os.name == "posix" and "://" not in url:
             self._port.exclusive = True
         self._port.open()
+        self.arrived_s = time.monotonic()
+        try:
+            self._descriptor = int(self._port.fileno())
+        except (AttributeError, OSError, TypeError, ValueError):  # Windows, rfc2217://
+            self._descriptor = -1
 
     def read(self) -> bytes:
+        arrived_s: float | None = None
+        if self._descriptor >= 0:
+            arrived_s = wait_readable(self._port.fileno(), READ_TIMEOUT_S)
+            if arrived_s is None:
+                return b""
         first: bytes = self._port.read(1)
         if not first:
             return b""
+        self.arrived_s = time.monotonic() if arrived_s is None else arrived_s
         waiting = self._port.in_waiting
         return first + self._port.read(waiting) if waiting else first
 
@@ -68,6 +85,7 @@ class TcpLink:
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S)
+        self.arrived_s = time.monotonic()
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         # The radio end may vanish without a word; ask after 5 s of silence, where the system can.
@@ -76,9 +94,10 @@ class TcpLink:
                 self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
     def read(self) -> bytes:
-        ready, _, _ = select.select([self._socket], [], [], READ_TIMEOUT_S)
-        if not ready:
+        arrived_s = wait_readable(self._socket.fileno(), READ_TIMEOUT_S)
+        if arrived_s is None:
             return b""
+        self.arrived_s = arrived_s
         data = self._socket.recv(4096)
         if not data:
             raise ConnectionResetError("the other side closed the connection")
@@ -89,6 +108,17 @@ class TcpLink:
 
     def close(self) -> None:
         self._socket.close()
+
+
+def arrival_ns(link: ByteLink, clock: Clock) -> int:
+    """Mission time at which the first byte of what was read last came in."""
+    for _ in range(3):
+        before_s = time.monotonic()
+        now_ns = clock.now_ns()
+        if time.monotonic() - before_s < 0.0005:
+            break  # else another thread came in between, and the two readings do not belong together
+    late_s = before_s - link.arrived_s
+    return now_ns - round(late_s * clock.rate * 1e9) if math.isfinite(clock.rate) else now_ns
 
 
 def open_link(url: str, baud: int, device: str) -> ByteLink:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.keeper import KeptReceiver
-from drivers.links import ByteLink, open_link
+from drivers.links import ByteLink, arrival_ns, open_link
 from drivers.options import checked
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.nrf import NrfText
@@ -151,7 +151,7 @@ class SnifferReceiver(KeptReceiver):
 
     def _take_all(self, link: ByteLink) -> None:
         data = link.read()
-        t_ns = self._clock.now_ns()
+        t_ns = arrival_ns(link, self._clock)
         for captured in self._protocol.feed(data):
             self._take(captured, t_ns)
 

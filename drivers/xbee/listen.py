@@ -23,8 +23,9 @@ from digi.xbee.models.mode import OperatingMode
 from digi.xbee.packets.base import XBeeAPIPacket
 from digi.xbee.reader import PacketListener
 
-from drivers.links import ByteLink
+from drivers.links import ByteLink, arrival_ns
 from drivers.xbee.frames import Deframer
+from fieldkit.clock import Clock
 
 logger = logging.getLogger(__name__)
 
@@ -39,16 +40,17 @@ class FrameInterface(XBeeCommunicationInterface):
     def __init__(
         self,
         opener: Callable[[], ByteLink],
-        now_ns: Callable[[], int],
+        clock: Clock,
         on_frame: Callable[[int, bytes], None],
         on_lost: Callable[[str], None],
     ) -> None:
         self._opener = opener
-        self._now_ns = now_ns
+        self._clock = clock
         self._on_frame = on_frame
         self._on_lost = on_lost
         self._link: ByteLink | None = None
         self._lost = False
+        self._last_ns = 0
         self._deframer = Deframer()
         self._replies: deque[bytes] = deque()
         self._timeout = REPLY_TIMEOUT_S
@@ -86,7 +88,7 @@ class FrameInterface(XBeeCommunicationInterface):
             return
         try:
             data = link.read()
-            t_ns = self._now_ns()
+            t_ns = self._last_ns = max(self._last_ns, arrival_ns(link, self._clock))
         except (OSError, TypeError, AttributeError) as error:  # pyserial: TypeError when closed under a read
             if self._link is not None:
                 self._lose(f"the port went away ({error})")
