@@ -13,8 +13,10 @@ from typing import Protocol
 class Clock(Protocol):
     """Time, as the mission sees it."""
 
-    rate: float
-    """Mission seconds per wall second."""
+    @property
+    def rate(self) -> float:
+        """Mission seconds per wall second."""
+        ...
 
     def now_ns(self) -> int:
         """UTC, in nanoseconds."""

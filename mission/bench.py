@@ -33,7 +33,9 @@ def median_s(action: Callable[[], Any], repeats: int = 21) -> float:
     return float(np.median(times))
 
 
-def settings(*, cells: int = 50, pairs: int = 3, prior_rule: str = "dirichlet", sensing: str = "pairwise") -> EngineSettings:
+def settings(
+    *, cells: int = 50, pairs: int = 3, prior_rule: str = "dirichlet", sensing: str = "pairwise"
+) -> EngineSettings:
     """The PRWA paper's simulated field: 25 m with 50 x 50 cells, five power levels 2 dB apart."""
     exponent, threshold = 2.53, -90.0
     antenna = Antenna(exponent, threshold + 10 * exponent * np.log10(3.45), 3.3, threshold)
@@ -57,7 +59,12 @@ def random_detection(engine: EngineSettings, rng: np.random.Generator, hearing: 
 
 
 def pairwise_numpy(
-    points_m: FloatArray, detection: Detection, antenna: Antenna, min_range_m: float, *, by_table: bool = False
+    points_m: FloatArray,
+    detection: Detection,
+    antenna: Antenna,
+    min_range_m: float,
+    *,
+    by_table: bool = False,
 ) -> FloatArray:
     """(n,) Theorem 1 in plain numpy: the twin the compiled kernel is measured against.
 
@@ -105,7 +112,10 @@ def spog_numpy(
     by_table: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
     """One SPOG update in plain numpy, Dirichlet rule aside: P1 and log(1 - P)."""
-    log = pairwise_numpy(points_m, detection, engine.antenna, engine.grid.cell_m / 2, by_table=by_table) + log_prior
+    log = (
+        pairwise_numpy(points_m, detection, engine.antenna, engine.grid.cell_m / 2, by_table=by_table)
+        + log_prior
+    )
     p1 = np.exp(log - log.max())
     p1 /= p1.sum()
     return p1, log_absent + np.log1p(-np.minimum(p1, 1.0 - 1e-16))
@@ -144,7 +154,11 @@ def plan() -> dict[str, Any]:
     planner = PrwaPlanner(engine)
     place = {robot: (3.0 + 3.0 * k, 12.0) for k, robot in enumerate(engine.robots)}
     situation = Situation(0, place, engine.teams, {})
-    return {"plan_ms": 1e3 * median_s(lambda: planner.plan(situation, belief), 5), "pairs": 3, "cells_per_cluster": 256}
+    return {
+        "plan_ms": 1e3 * median_s(lambda: planner.plan(situation, belief), 5),
+        "pairs": 3,
+        "cells_per_cluster": 256,
+    }
 
 
 def kernel() -> dict[str, Any]:

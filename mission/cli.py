@@ -125,7 +125,7 @@ def replay(
     if changed:
         mission = what_if(mission, belief=belief, planner=planner)
     done = replay_log(log, mission=mission, check=not changed, until_s=until)
-    plain = {
+    plain: dict[str, Any] = {
         "recording": str(log),
         "events": done.events,
         "duration_s": round(done.duration_s, 3),

@@ -173,7 +173,7 @@ def read_mission(path: Path) -> Mission:
 
 
 def parse_mission(text: str, where: str) -> MissionFile:
-    """Check the text of a mission file. Raises `ConfigError` with file, key path, what was expected and what was there."""
+    """Check the text of a mission file. Raises `ConfigError`: file, key path, what was expected, what was there."""
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -232,7 +232,8 @@ def _check_robots(file: MissionFile, where: str) -> None:
             key = (robot.vehicle.driver, robot.vehicle.address, system_id)
             if key in seen:
                 raise ConfigError(
-                    f"{where}: robot {robot.name!r}: vehicle.system_id: {system_id} is robot {seen[key]!r}'s already on "
+                    f"{where}: robot {robot.name!r}: vehicle.system_id: {system_id} is robot {seen[key]!r}'s "
+                    "already on "
                     f"{robot.vehicle.address}; every vehicle on a link needs an id of its own (SYSID_THISMAV)"
                 )
             seen[key] = robot.name

@@ -194,7 +194,7 @@ class Kernel:
             self.detections += len(detections)
             self._sources = None
         found_more = bool(detections) and self._note_finds(now_ns, notes)
-        if reason := self._finished(now_ns):
+        if reason := self._finished(now_ns, bool(detections)):
             ended = self._end(now_ns, reason)
             return Outcome(ended.commands, tuple(detections), None, (*notes, *ended.notes))
         plan = None
@@ -227,7 +227,7 @@ class Kernel:
             changed = True
         return changed
 
-    def _finished(self, now_ns: int) -> str:
+    def _finished(self, now_ns: int, detections: bool) -> str:
         if self.elapsed_s(now_ns) >= self.settings.max_duration_s:
             return f"time is up ({self.settings.max_duration_s:.0f} s)"
         if self._steered_ns is not None and (now_ns - self._steered_ns) * 1e-9 > self.settings.idle_limit_s:
@@ -236,7 +236,9 @@ class Kernel:
         if wanted is not None and len(self.found_at_s) >= wanted:
             return f"all {wanted} expected sources are found"
         limit = self.settings.stop_probability_left
-        if limit is not None and (left := self.belief.probability_left()) < limit:
+        if limit is None or not (detections or self._next_plan_ns is None or now_ns >= self._next_plan_ns):
+            return ""  # it changes slowly and costs a look at the whole field
+        if (left := self.belief.probability_left()) < limit:
             return f"the probability that a source is left is {left:.3f}"
         return ""
 

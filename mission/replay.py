@@ -112,13 +112,15 @@ class _Expected:
         recorded = self._commands.get(number, [])
         if recorded != given:
             raise ReplayMismatch(
-                f"{self.path}: event {number} ({type(event).__name__} at {event.t_ns} ns) led to other commands: recorded "
+                f"{self.path}: event {number} ({type(event).__name__} at {event.t_ns} ns) led to other "
+                f"commands: recorded "
                 f"{_say(recorded)}, replayed {_say(given)}"
             )
         digest = self._digests.get(number)
         if digest is not None and kernel.digest() != digest:
             raise ReplayMismatch(
-                f"{self.path}: after event {number} ({type(event).__name__} at {event.t_ns} ns) the belief differs: recorded "
+                f"{self.path}: after event {number} ({type(event).__name__} at {event.t_ns} ns) the belief "
+                f"differs: recorded "
                 f"{digest[:16]}, replayed {kernel.digest()[:16]}"
             )
 

@@ -90,7 +90,7 @@ class Runner:
             stack.callback(pool.shutdown)
             for device in (*self.rig.receivers, *self.rig.links):
                 await stack.enter_async_context(device)
-            tasks = [
+            tasks: list[asyncio.Task[Any]] = [
                 asyncio.create_task(self._pump(self._readings(r)), name=f"receiver {r.robot}")
                 for r in self.rig.receivers
             ]
@@ -273,7 +273,8 @@ class Runner:
         ]:
             if self.rig.clock.elapsed_s() > deadline_s:
                 raise DeviceTimeout(
-                    f"no telemetry from {', '.join(missing)} in {READY_TIMEOUT_S:.0f} s: is the vehicle on, does it send to "
+                    f"no telemetry from {', '.join(missing)} in {READY_TIMEOUT_S:.0f} s: is the vehicle on, does it "
+                    "send to "
                     "the address in the mission file, is its system id right, has it a position fix?"
                 )
             await self.rig.clock.sleep(0.2)

@@ -54,7 +54,10 @@ def record_simulated(folder: Path, *, seed: int = 1, duration_s: float = 120.0, 
         path,
         mission_toml=mission.text,
         antenna_toml=mission.antenna_text,
-        metadata={"mission": "synthetic", "truth": [{"east_m": s.east_m, "north_m": s.north_m} for s in sources]},
+        metadata={
+            "mission": "synthetic",
+            "truth": [{"east_m": s.east_m, "north_m": s.north_m} for s in sources],
+        },
         frame=mission.frame,
     ) as recorder:
 

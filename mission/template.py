@@ -84,7 +84,7 @@ planning_period_s = {planning_period_s:.1f}
 pose_sigma_m = 0.05          # of each coordinate of the robots' positions
 
 [association]
-window_s = {window_s}               # receptions this near in time are one transmission; 0.25 without synchronised clocks
+window_s = {window_s}               # receptions this near are one transmission; 0.25 without synchronised clocks
 
 [end]                        # whichever comes first
 max_duration_s = {max_duration_s:.1f}

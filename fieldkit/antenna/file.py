@@ -120,7 +120,9 @@ def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
 def _check_pattern(pattern: Any, where: str) -> None:
     """Two equally long lists of numbers."""
     lists = [pattern.get(name) if isinstance(pattern, dict) else None for name in ("heading_deg", "gain_db")]
-    columns = [each for each in lists if isinstance(each, list) and all(isinstance(x, int | float) for x in each)]
+    columns = [
+        each for each in lists if isinstance(each, list) and all(isinstance(x, int | float) for x in each)
+    ]
     if len(columns) != 2 or len(columns[0]) != len(columns[1]) or len(columns[0]) < 4:
         raise ConfigError(
             f"{where}: pattern: expected equally long lists heading_deg and gain_db of 4 numbers or more, "
@@ -147,7 +149,7 @@ def dump_antenna(file: AntennaFile) -> str:
     for name, value in asdict(file.antenna).items():
         if value is not None:
             parameters.add(name, value)
-            parameters.value.item(name).comment(notes[name])
+            parameters.value.item(name).comment(notes[name])  # type: ignore[union-attr]
     document["parameters"] = parameters
     document["verdict"] = {"state": file.verdict, "reasons": list(file.reasons)}
     if file.intervals_95:

@@ -36,12 +36,12 @@ class Grid:
     @cached_property
     def east_m(self) -> FloatArray:
         """(n_east,) cell centres."""
-        return (np.arange(self.n_east) + 0.5) * self.cell_m
+        return np.asarray((np.arange(self.n_east) + 0.5) * self.cell_m, dtype=float)
 
     @cached_property
     def north_m(self) -> FloatArray:
         """(n_north,) cell centres."""
-        return (np.arange(self.n_north) + 0.5) * self.cell_m
+        return np.asarray((np.arange(self.n_north) + 0.5) * self.cell_m, dtype=float)
 
     @cached_property
     def centres_m(self) -> FloatArray:

@@ -8,10 +8,12 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from fieldkit.messages import FloatArray
 
 _SQRT2 = math.sqrt(2.0)
+IntArray = NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True)
@@ -115,7 +117,7 @@ def leave_one_out(loglik: FloatArray, logpost: FloatArray, weight: float) -> flo
     """log of the predictive probability of one detection under a source that may already count it.
 
     `loglik` and `logpost` are flat over (hypothesis, point); `logpost` includes `weight` times this detection.
-    Entries 30 nats under the best are skipped.
+    Entries 20 nats under the best are skipped.
     """
     best = -1e300
     for i in range(loglik.shape[0]):
@@ -126,7 +128,7 @@ def leave_one_out(loglik: FloatArray, logpost: FloatArray, weight: float) -> flo
     total_with = 0.0
     for i in range(loglik.shape[0]):
         rest = logpost[i] - weight * loglik[i] - best
-        if rest > -30.0:
+        if rest > -20.0:
             p = math.exp(rest)
             total += p
             total_with += p * math.exp(loglik[i])
@@ -136,8 +138,8 @@ def leave_one_out(loglik: FloatArray, logpost: FloatArray, weight: float) -> flo
 @njit(cache=True, nogil=True)
 def another_source_llr(
     stacked: FloatArray,
-    start: FloatArray,
-    box: FloatArray,
+    start: IntArray,
+    box: IntArray,
     rate: float,
     exposure: FloatArray,
     out: FloatArray,
@@ -264,7 +266,9 @@ def _lookup(table: FloatArray, x: float, half_width: float, per_db: float) -> fl
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def squared_ranges(east: FloatArray, north: FloatArray, robots: FloatArray, floor2: float, out: FloatArray) -> None:
+def squared_ranges(
+    east: FloatArray, north: FloatArray, robots: FloatArray, floor2: float, out: FloatArray
+) -> None:
     """out (m, n): squared distance from robot to point, at least floor2."""
     for q in range(robots.shape[0]):
         for i in range(east.shape[0]):

@@ -138,7 +138,7 @@ def use_of_robots(story: Story, stretches: Sequence[tuple[str, float, float, str
     robots = list(story.tracks)
     figure, axes = plt.subplots(figsize=(8.4, 0.5 + 0.35 * max(1, len(robots))))
     kinds = sorted({_kind(purpose) for _, _, _, purpose in stretches})
-    palette = dict(zip(kinds, plt.get_cmap("tab10").colors, strict=False))
+    palette = dict(zip(kinds, [plt.get_cmap("tab10")(k) for k in range(10)], strict=False))
     for robot, start_s, end_s, purpose in stretches:
         axes.barh(
             robots.index(robot), end_s - start_s, left=start_s, color=palette[_kind(purpose)], height=0.7

@@ -64,19 +64,22 @@ def summarise(story: Story) -> list[str]:
         sigma = float(np.sqrt(np.trace(source.cov_m2) / 2))
         sentences.append(
             f"Source {source.ident} is at {source.east_m:.2f} m east, {source.north_m:.2f} m north (standard deviation "
-            f"{sigma:.2f} m), with probability {source.p_here:.2f} within one cell of it, from {source.receptions:.0f} receptions."
+            f"{sigma:.2f} m), with probability {source.p_here:.2f} within one cell of it, "
+            f"from {source.receptions:.0f} receptions."
         )
     for source in story.final:
         if source.state == "doubtful":
             sentences.append(f"No position is claimed for source {source.ident}: {source.note}.")
         elif source.state == "candidate":
             sentences.append(
-                f"Candidate {source.ident} near {source.east_m:.1f} m east, {source.north_m:.1f} m north is not resolved "
+                f"Candidate {source.ident} near {source.east_m:.1f} m east, {source.north_m:.1f} m north "
+                "is not resolved "
                 f"({source.receptions:.1f} receptions, probability {source.p_here:.2f})."
             )
     if story.left:
         sentences.append(
-            f"The probability that a source sending {story.mission.kernel.engine.reference_rate_hz:g} times a second or "
+            f"The probability that a source sending {story.mission.kernel.engine.reference_rate_hz:g} times a second "
+            "or "
             f"more was still unfound at the end is {story.left[-1][1]:.3f}."
         )
     if story.result is not None:

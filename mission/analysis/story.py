@@ -101,7 +101,7 @@ def _sort(story: Story, t_s: float, value: Any, origin: str) -> None:
 
 
 def _last(recording: Recording) -> BeliefGrid | None:
-    last = None
-    for last in recording.beliefs():
-        pass
-    return last
+    kept: BeliefGrid | None = None
+    for grid in recording.beliefs():
+        kept = grid
+    return kept

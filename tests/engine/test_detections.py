@@ -1,5 +1,7 @@
 """Association: what counts as one transmission, who listened, and what silence covers."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from fieldkit.engine.detections import Associator, PoseTrack
@@ -107,5 +109,5 @@ def test_listening_covers_time_once_without_gaps() -> None:
     stretches = []
     for second in range(3, 11):
         stretches += associator.advance(second * S)[1]
-    assert all(a.t1_ns == b.t0_ns for a, b in zip(stretches, stretches[1:], strict=False))
+    assert all(a.t1_ns == b.t0_ns for a, b in pairwise(stretches))
     assert all(s.robots == ("a", "b") for s in stretches)

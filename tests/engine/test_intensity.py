@@ -9,7 +9,7 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 
 from fieldkit.antenna.model import Antenna
-from fieldkit.engine.belief import intensity
+from fieldkit.engine.belief import mixture
 from fieldkit.engine.belief.intensity import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
@@ -202,10 +202,10 @@ def test_same_calls_give_the_same_digest_and_others_another() -> None:
 
 def test_cost_does_not_grow_with_the_number_of_detections(monkeypatch: pytest.MonkeyPatch) -> None:
     """Old detections are folded into their sources; the find stays, and so does its count."""
-    monkeypatch.setattr(intensity, "MAX_OPEN", 20)
+    monkeypatch.setattr(mixture, "MAX_OPEN", 20)
     belief = IntensityBelief(FIELD)
     feed(belief, [((3.0, 4.0), 0.0)], np.random.default_rng(4), 60)
-    assert len(belief._open) <= 20
+    assert len(belief.mixture.open) <= 20
     (found,) = [s for s in belief.sources() if s.state == "found"]
     assert found.receptions > 40
     assert np.hypot(found.east_m - 3.0, found.north_m - 4.0) < 0.2

@@ -9,12 +9,13 @@ the likelihoods of different sources' transmissions), so the rule is chosen:
 - `literal`: pi <- P1, eq 2 as printed; right for one source;
 - `uniform`: pi = 1/n;
 - `dirichlet`: pi_i = (alpha/n + sum of P1_i so far) / (alpha + K), alpha = 5;
-- `em` (default): pi are the mixture weights of all stored events, which are re-attributed at each one; P can fall again.
+- `em` (default): pi are the mixture weights of all stored events, re-attributed at each one; P can fall again.
 
 Silence is not evidence here: that is what the intensity belief adds.
 """
 
 import hashlib
+from collections.abc import Callable
 
 import numpy as np
 from scipy import ndimage
@@ -47,7 +48,7 @@ class SpogBelief:
         centres = self.grid.centres_m
         if settings.sensing == "pairwise":
             pairwise = PairwiseModel(settings.antenna, centres, self.grid.cell_m / 2)
-            self._likelihood = pairwise.log_likelihood
+            self._likelihood: Callable[[Detection], FloatArray] = pairwise.log_likelihood
         else:
             levels = LevelsModel(settings.antenna, settings.power_levels_db, self.grid.cell_m / np.sqrt(12.0))
             known = levels.n_known
@@ -86,7 +87,9 @@ class SpogBelief:
             case "uniform":
                 self.log_prior = np.full(n, -np.log(n))
             case _:
-                self.log_prior = np.log((DIRICHLET_ALPHA / n + self._sum_p1) / (DIRICHLET_ALPHA + self._events))
+                self.log_prior = np.log(
+                    (DIRICHLET_ALPHA / n + self._sum_p1) / (DIRICHLET_ALPHA + self._events)
+                )
 
     def _reattribute(self, log_likelihood: FloatArray) -> None:
         """EM over all stored events: pi are the mixture weights, r_ki the share of event k that cell i sent."""

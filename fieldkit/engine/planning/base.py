@@ -71,7 +71,7 @@ def abreast(
 
 
 def waypoints(places_m: FloatArray, start_m: FloatArray, max_speed_m_s: float) -> list[tuple[Waypoint, ...]]:
-    """One path per robot from places (legs, m, 2): on each leg the nearer robot goes slower, so that all arrive together."""
+    """One path per robot from places (legs, m, 2): on each leg the nearer robot goes slower: all arrive together."""
     paths: list[list[Waypoint]] = [[] for _ in range(start_m.shape[0])]
     for before, after in pairwise([start_m, *places_m]):
         length = np.hypot(*(after - before).T)

@@ -159,7 +159,6 @@ class InfoGainPlanner:
         unresolved: list[Unresolved],
         horizon_s: float,
     ) -> list[_Option]:
-        model = belief.model
         ranges = self.settings.antenna.nominal_range_m(np.array(self.settings.power_levels_db))
         typical_m = float(np.median(ranges))
         centre = start.mean(axis=0)
@@ -178,7 +177,8 @@ class InfoGainPlanner:
         left = left / left.sum() if left.sum() > 0 else np.full(left.size, 1.0 / left.size)
         pick = self._picker(left**1.5)
         for index in range(GROUND_PATHS):
-            corners, here, gone = [], centre, 0.0
+            corners: list[FloatArray] = []
+            here, gone = centre, 0.0
             while gone < length_m and len(corners) < 8:
                 target = pick()
                 if index % 2:  # a nearby stretch rather than across the field
@@ -200,7 +200,6 @@ class InfoGainPlanner:
                     self._around(candidate, centre, typical_m, index),
                     spacings[0],
                 )
-        del model
         return options
 
     def _picker(self, weight: FloatArray) -> Callable[[], FloatArray]:

@@ -96,7 +96,9 @@ class PrwaPlanner:
         along = along / np.hypot(*along) if heaviest.length_m > 0 else np.array([0.0, 1.0])
         across = np.repeat(np.array([[-along[1], along[0]]]), POSITIONS, axis=0)
         longest = float(settings.antenna.nominal_range_m(max(settings.power_levels_db)))
-        spacings = np.linspace(settings.min_separation_m, max(1.5 * longest, settings.min_separation_m), SPACINGS)
+        spacings = np.linspace(
+            settings.min_separation_m, max(1.5 * longest, settings.min_separation_m), SPACINGS
+        )
         return best_spacing_m(
             settings, cells, presence.ravel()[flat], activity.ravel()[flat], centres, across, spacings
         )

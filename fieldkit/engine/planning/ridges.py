@@ -6,6 +6,7 @@ Points of a field, arrays of shape (k, 2), are east and north in metres.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist, squareform
@@ -23,7 +24,7 @@ class Ridge:
     """(2, 2); equal ends where the component is one cell."""
     cells: FloatArray
     """(k, 2) cell centres of the component."""
-    flat: FloatArray
+    flat: NDArray[np.intp]
     """(k,) flat indices of those cells."""
     weight: float
     """Sum of P(C_i^1) over the component: its share of the time (RWA eq 29)."""
@@ -45,7 +46,12 @@ def find_ridges(presence: FloatArray, activity: FloatArray, level: float, grid: 
         rows, columns = np.nonzero(labels == label)
         cells = np.column_stack([grid.east_m[columns], grid.north_m[rows]])
         ridges.append(
-            Ridge(farthest_pair(cells), cells, rows * grid.n_east + columns, float(activity[rows, columns].sum()))
+            Ridge(
+                farthest_pair(cells),
+                cells,
+                rows * grid.n_east + columns,
+                float(activity[rows, columns].sum()),
+            )
         )
     return sorted(ridges, key=lambda ridge: -ridge.weight)
 

@@ -67,7 +67,9 @@ def off_ridge_m(start_m: FloatArray, ends_m: FloatArray, order: list[tuple[int, 
     return length
 
 
-def time_on_ridges_s(weights: FloatArray, period_s: float, off_ridge_length_m: float, speed_m_s: float) -> FloatArray:
+def time_on_ridges_s(
+    weights: FloatArray, period_s: float, off_ridge_length_m: float, speed_m_s: float
+) -> FloatArray:
     """(k,) seconds on each ridge: what travel leaves of the period, shared by weight (RWA eq 28 and 29).
 
     Negative when travel alone takes longer than the period: nothing is left, all are 0.

@@ -62,7 +62,11 @@ def random_corners(settings: EngineSettings, here_m: FloatArray, rng: np.random.
 
 
 def steer(
-    settings: EngineSettings, team: tuple[str, ...], start_m: FloatArray, corners_m: FloatArray, spacing_m: float
+    settings: EngineSettings,
+    team: tuple[str, ...],
+    start_m: FloatArray,
+    corners_m: FloatArray,
+    spacing_m: float,
 ) -> dict[str, tuple[Waypoint, ...]]:
     """Way-points for a team that follows corners (k, 2) abreast."""
     spacing = max(spacing_m, settings.min_separation_m)

@@ -29,7 +29,10 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 def log_e11(x_db: FloatArray, sigma_db: float) -> FloatArray:
     """log of E11 at x (any shape), accurate in the far tails too."""
     scale = np.sqrt(2.0) * sigma_db
-    upper, lower = (1.0 - np.abs(x_db)) / scale, (-1.0 - np.abs(x_db)) / scale  # even in x; left tail is exact
+    upper, lower = (
+        (1.0 - np.abs(x_db)) / scale,
+        (-1.0 - np.abs(x_db)) / scale,
+    )  # even in x; left tail is exact
     high, low = log_ndtr(upper), log_ndtr(lower)
     return np.asarray(high + np.log1p(-np.exp(low - high)))
 
@@ -79,7 +82,10 @@ class PairwiseModel:
 
     def __init__(self, antenna: Antenna, points_m: FloatArray, min_range_m: float) -> None:
         self.antenna = antenna
-        self._east_m, self._north_m = np.ascontiguousarray(points_m[:, 0]), np.ascontiguousarray(points_m[:, 1])
+        self._east_m, self._north_m = (
+            np.ascontiguousarray(points_m[:, 0]),
+            np.ascontiguousarray(points_m[:, 1]),
+        )
         self._floor_m2 = min_range_m**2
         self._tables = tables(antenna.sigma_db)
         self._steps_per_log = 5.0 * antenna.path_loss_exponent / np.log(10.0) / STEP_DB

@@ -1,0 +1,10 @@
+"""Draw docs/demo.png from a demo's recording: python docs/picture.py runs/<UTC>/mission.mcap"""
+
+import sys
+from pathlib import Path
+
+from mission.analysis.plots import field_map
+from mission.analysis.story import read_story
+
+figure = field_map(read_story(Path(sys.argv[1])))
+figure.savefig(Path(__file__).with_name("demo.png"), dpi=110, bbox_inches="tight")

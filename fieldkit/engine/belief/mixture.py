@@ -1,0 +1,328 @@
+"""The mixture under the default belief: who sent what, among the candidates, one not yet known, and clutter.
+
+Shares are set by what the *other* detections of a candidate predict (collapsed variational mixture, zeroth order),
+so that a reading does not vouch for itself. One more candidate is born where one more source would explain the
+detections better than those there are; two become one where one explains better what both sent; one that nothing
+supports any more is dropped. `stories` re-tells the history of a candidate that may be stuck.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldkit.engine import kernels
+from fieldkit.engine.belief import stories
+from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, Summary, log_sum, merged_gain, summarise
+from fieldkit.engine.sensing.levels import LevelsModel
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import Detection, FloatArray, Listening
+
+MAX_OPEN = 300
+"""Detections kept open for re-attribution; older ones are folded into their sources."""
+CLUTTER_HZ = 2e-4
+"""Rate of detections that come from no source: noise, other bands, reflections."""
+FINE = 0.5
+"""Spacing of a candidate's points, in cells."""
+SWEEPS = 3
+BIRTH_ODDS = 1.5
+"""Expected number of further sources that speak for themselves at which one is given a candidate."""
+DEATH_RECEPTIONS = 0.3
+
+
+def clutter_log_hz(stored: "OpenDetection") -> float:
+    """log intensity with which noise explains a detection: any strength within 80 dB."""
+    return float(np.log(CLUTTER_HZ) - int(stored.detection.heard.sum()) * np.log(80.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenDetection:
+    """A stored detection: its likelihood over the cells near it, scaled to a maximum of 1."""
+
+    detection: Detection
+    box: tuple[int, int, int, int]
+    like: FloatArray
+    """(known levels, cells of the box, row by row)"""
+    log_scale: float
+    near_m: FloatArray
+    """(k, 2) where it was heard."""
+
+
+class Mixture:
+    """Candidates, open detections and exposure. Deterministic: same calls, same bits."""
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self.settings = settings
+        self.grid = settings.grid
+        self.model = LevelsModel(
+            settings.antenna,
+            settings.power_levels_db,
+            float(np.hypot(settings.pose_sigma_m, FINE * settings.grid.cell_m / np.sqrt(12.0))),
+        )
+        self.exposure_s = np.zeros((self.model.power_db.size, *self.grid.shape))
+        """(h - 1, n_north, n_east): P(some robot hears) integrated over the time listened, for each fixed power."""
+        self.rate_prior_s = RATE_SHAPE / settings.reference_rate_hz
+        """b of the Gamma prior of a source's rate."""
+        self.candidates: list[Candidate] = []
+        self.open: dict[int, OpenDetection] = {}
+        self.unclaimed: dict[int, float] = {}
+        """Detection to the probability that a source not yet known sent it."""
+        self.explained: dict[int, float] = {}
+        """Detection to the log of the intensity with which clutter and the candidates explain it."""
+        self.revise_at: dict[int, float] = {}
+        """Candidate to the receptions at which its story is next told afresh."""
+        self._next_detection = 0
+        self._next_ident = 1
+        self._summaries: dict[int, Summary] = {}
+
+    def listen(self, listening: Listening) -> None:
+        """Add to the exposure of the ground where robots listened."""
+        kernels.add_exposure(
+            self.exposure_s,
+            self.grid.cell_m,
+            listening.position_m,
+            self.model.hear,
+            self.model.step2_m2,
+            self.model.reach_outside_m,
+            listening.duration_s,
+        )
+
+    def detect(self, detection: Detection) -> None:
+        """Take in a transmission: attribute it, and look again at the attribution of the others near it."""
+        number = self._next_detection
+        self._next_detection += 1
+        stored = self._store(detection)
+        self.open[number] = stored
+        self.unclaimed[number] = 1.0
+        for candidate in self.candidates:
+            if self.in_reach(candidate, stored):
+                candidate.know(number, self.model.log_likelihood(detection, candidate.points_m))
+        for candidate in self.candidates:
+            candidate.expose(self.exposure_at(candidate.points_m))
+        self.sweep(SWEEPS)
+        for _ in range(2):
+            if not self._birth():
+                break
+            self.sweep(SWEEPS)
+        self._settle()
+        if stories.revise(self):
+            self.sweep(SWEEPS)
+            self._settle()
+        self._fold()
+
+    def next_ident(self) -> int:
+        """An identity no candidate has had."""
+        self._next_ident += 1
+        return self._next_ident - 1
+
+    def _settle(self) -> None:
+        self._merge()
+        self._bury()
+
+    def _store(self, detection: Detection) -> OpenDetection:
+        heard_at = detection.position_m[detection.heard]
+        row0, row1, column0, column1 = self.grid.box_around(heard_at, self.model.reach_m)
+        east, north = self.grid.east_m[column0:column1], self.grid.north_m[row0:row1]
+        points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
+        log = self.model.log_likelihood(detection, points)[: self.model.n_known]
+        scale = float(log.max())
+        return OpenDetection(detection, (row0, row1, column0, column1), np.exp(log - scale), scale, heard_at)
+
+    def in_reach(self, candidate: Candidate, stored: OpenDetection) -> bool:
+        """Whether the candidate may have been what was heard, by distance alone."""
+        low, high = candidate.points_m.min(axis=0), candidate.points_m.max(axis=0)
+        gap = np.maximum(low - stored.near_m, 0.0) + np.maximum(stored.near_m - high, 0.0)
+        return bool((np.hypot(gap[:, 0], gap[:, 1]) <= self.model.reach_m).all())
+
+    def exposure_at(self, points_m: FloatArray) -> FloatArray:
+        """(h, n); the varying hypothesis takes the mean of the known levels."""
+        column = np.clip((points_m[:, 0] / self.grid.cell_m).astype(int), 0, self.grid.n_east - 1)
+        row = np.clip((points_m[:, 1] / self.grid.cell_m).astype(int), 0, self.grid.n_north - 1)
+        fixed = self.exposure_s[:, row, column]
+        return np.concatenate([fixed, fixed[: self.model.n_known].mean(axis=0)[None, :]])
+
+    def known_exposure_s(self) -> FloatArray:
+        """(known levels, n_north, n_east)"""
+        return self.exposure_s[: self.model.n_known]
+
+    def unknown_rate(self) -> FloatArray:
+        """(n_north, n_east) expected transmissions per second and cell from sources not yet known."""
+        exposure = self.known_exposure_s().mean(axis=0)
+        here = self.settings.expected_sources / self.grid.n_cells
+        b = self.rate_prior_s
+        return here * (b / (b + exposure)) ** RATE_SHAPE * RATE_SHAPE / (b + exposure)
+
+    def _log_unknown(self, stored: OpenDetection, unknown_rate: FloatArray) -> float:
+        row0, row1, column0, column1 = stored.box
+        total = float((unknown_rate[row0:row1, column0:column1].ravel() * stored.like.mean(axis=0)).sum())
+        return float(np.log(total + 1e-300)) + stored.log_scale
+
+    def sweep(self, sweeps: int) -> None:
+        """Shares of all open detections, from the predictions of the candidates and of the unknown."""
+        unknown_rate = self.unknown_rate()
+        logs_unknown = {k: self._log_unknown(stored, unknown_rate) for k, stored in self.open.items()}
+        for sweep in range(sweeps):
+            # All but the last sweep look only at detections still in doubt or new.
+            for number, stored in self.open.items():
+                near = [c for c in self.candidates if number in c.logs]
+                if not near:
+                    self.unclaimed[number] = 1.0
+                    self.explained[number] = clutter_log_hz(stored)
+                    continue
+                settled = any(c.share[number] > 0.999 for c in near) and sweep < sweeps - 1
+                if settled:
+                    continue
+                terms = [logs_unknown[number], clutter_log_hz(stored)]
+                for candidate in near:
+                    log_posterior = candidate.log_posterior()
+                    others = max(0.0, candidate.receptions - candidate.share[number])
+                    rate = (RATE_SHAPE + others) / (self.rate_prior_s + self.summary(candidate).exposure_s)
+                    terms.append(float(np.log(rate)) + candidate.log_predictive(number, log_posterior))
+                values = np.array(terms)
+                shares = np.exp(values - log_sum(values))
+                self.explained[number] = log_sum(values[1:])
+                for candidate, share in zip(near, shares[2:], strict=True):
+                    candidate.set_share(number, float(share))
+                self.unclaimed[number] = float(shares[0])
+            for candidate in self.candidates:
+                self._summaries.pop(candidate.ident, None)
+        for candidate in self.candidates:
+            candidate.prune()
+
+    def summary(self, candidate: Candidate) -> Summary:
+        """The candidate's posterior in a few numbers, kept until it changes."""
+        if candidate.ident not in self._summaries:
+            self._summaries[candidate.ident] = summarise(
+                candidate, candidate.posterior(), self.model.power_db, self.model.outside, self.grid.cell_m
+            )
+        return self._summaries[candidate.ident]
+
+    def another_source(self) -> FloatArray:
+        """(known levels, n_north, n_east) expected number of sources of the reference rate not among the candidates.
+
+        Prior times likelihood ratio: silence lowers it, detections that the candidates explain badly raise it. So
+        it covers unsearched ground, unclaimed detections, and sources that hide behind a found neighbour.
+        """
+        ratio = np.empty((self.model.n_known, *self.grid.shape))
+        stored = list(self.open.items())
+        sizes = [s.like.shape[1] for _, s in stored]
+        start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        stacked = (
+            np.concatenate([s.like * np.exp(s.log_scale - self.explained[k]) for k, s in stored], axis=1)
+            if stored
+            else np.empty((self.model.n_known, 0))
+        )
+        boxes = np.array([s.box for _, s in stored], dtype=np.int64).reshape(-1, 4)
+        kernels.another_source_llr(
+            stacked, start[:-1], boxes, self.settings.reference_rate_hz, self.known_exposure_s(), ratio
+        )
+        prior = self.settings.expected_sources / self.grid.n_cells / self.model.n_known
+        return np.asarray(prior * np.exp(np.minimum(ratio, 50.0)))
+
+    def _birth(self) -> bool:
+        """A candidate where one more source explains what was heard better than none; whether there was one."""
+        expected = self.another_source()
+        prior = self.settings.expected_sources / self.grid.n_cells / self.model.n_known
+        telling = np.where(expected > prior, expected, 0.0)
+        if telling.sum() < BIRTH_ODDS:
+            return False
+        place = telling.sum(axis=0)
+        row, column = np.unravel_index(int(np.argmax(place)), place.shape)
+        level = int(np.argmax(expected[:, row, column]))
+        near = place > 1e-4 * place.max()
+        reach = int(np.ceil(self.model.reach_m / self.grid.cell_m))
+        south, west = max(0, int(row) - reach), max(0, int(column) - reach)
+        rows = np.nonzero(near[south : int(row) + reach + 1].any(axis=1))[0] + south
+        columns = np.nonzero(near[:, west : int(column) + reach + 1].any(axis=0))[0] + west
+        candidate = self.new_candidate(
+            (int(columns.min()), int(columns.max()) + 1), (int(rows.min()), int(rows.max()) + 1)
+        )
+        rate = self.settings.reference_rate_hz
+        for number, stored in self.open.items():
+            if not self.in_reach(candidate, stored):
+                continue
+            candidate.know(number, self.model.log_likelihood(stored.detection, candidate.points_m))
+            row0, row1, column0, column1 = stored.box
+            if row0 <= row < row1 and column0 <= column < column1:
+                like = stored.like[level, (row - row0) * (column1 - column0) + column - column0]
+                ratio = rate * like * np.exp(stored.log_scale - self.explained[number])
+                candidate.set_share(number, float(ratio / (1.0 + ratio)))
+        if candidate.receptions < DEATH_RECEPTIONS:
+            return False
+        for number, share in candidate.share.items():
+            for other in self.candidates:
+                if share > 0.0 and number in other.share:
+                    other.set_share(number, other.share[number] * (1.0 - share))
+        self._summaries.clear()
+        self.candidates.append(candidate)
+        return True
+
+    def new_candidate(self, columns: tuple[int, int], rows: tuple[int, int]) -> Candidate:
+        """An empty candidate whose cloud covers these cells (half open) and one more all round."""
+        cell = self.grid.cell_m
+        fine = cell * FINE
+        per_cell = round(1.0 / FINE)
+        margin = 1
+        east = np.arange(
+            max(0, columns[0] - margin) * per_cell, min(self.grid.n_east, columns[1] + margin) * per_cell
+        )
+        north = np.arange(
+            max(0, rows[0] - margin) * per_cell, min(self.grid.n_north, rows[1] + margin) * per_cell
+        )
+        points = np.column_stack(
+            [np.tile((east + 0.5) * fine, north.size), np.repeat((north + 0.5) * fine, east.size)]
+        )
+        density = self.settings.expected_sources / self.grid.n_cells / per_cell**2
+        prior = np.repeat(self.model.log_prior[:, None] + np.log(density), points.shape[0], axis=1)
+        return Candidate(self.next_ident(), points, prior, self.rate_prior_s, self.exposure_at(points))
+
+    def _merge(self) -> None:
+        """Let one candidate speak for two where that explains better what both sent."""
+        done = False
+        while not done:
+            done = True
+            for first in self.candidates:
+                for second in self.candidates:
+                    if first.ident >= second.ident or not self._close(first, second):
+                        continue
+                    keep, drop = (first, second) if first.receptions >= second.receptions else (second, first)
+                    gain = merged_gain(keep, drop)
+                    if gain == -np.inf:
+                        keep, drop = drop, keep
+                        gain = merged_gain(keep, drop)
+                    if gain > 0.0:
+                        for number, share in drop.share.items():
+                            if number in keep.share and share > 0.0:
+                                keep.set_share(number, min(1.0, keep.share[number] + share))
+                        self.remove(drop)
+                        self._summaries.pop(keep.ident, None)
+                        done = False
+                        break
+                if not done:
+                    break
+        if self.candidates:
+            self.sweep(1)
+
+    def _close(self, first: Candidate, second: Candidate) -> bool:
+        a, b = self.summary(first), self.summary(second)
+        spread = np.sqrt(np.trace(a.cov_m2)) + np.sqrt(np.trace(b.cov_m2))
+        return float(np.hypot(*(a.mean_m - b.mean_m))) < 3.0 * self.grid.cell_m + 2.0 * spread
+
+    def remove(self, candidate: Candidate) -> None:
+        """Drop a candidate; its detections are for others to claim."""
+        self.candidates = [c for c in self.candidates if c is not candidate]
+        self._summaries.pop(candidate.ident, None)
+
+    def _bury(self) -> None:
+        """Drop candidates that nothing supports any more; what they held is unclaimed again."""
+        for candidate in [c for c in self.candidates if c.receptions < DEATH_RECEPTIONS]:
+            for number, share in candidate.share.items():
+                self.unclaimed[number] = min(1.0, self.unclaimed[number] + share)
+            self.remove(candidate)
+
+    def _fold(self) -> None:
+        """Close the oldest detections beyond `MAX_OPEN`."""
+        while len(self.open) > MAX_OPEN:
+            oldest = next(iter(self.open))
+            for candidate in self.candidates:
+                candidate.forget(oldest)
+            del self.open[oldest], self.unclaimed[oldest], self.explained[oldest]

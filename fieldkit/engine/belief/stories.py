@@ -1,0 +1,147 @@
+"""Telling the story of a candidate afresh, as one source and as two, and keeping the story with more evidence.
+
+Points dropped early and shares that vouch for each other can hold a candidate in a wrong place, or hold two near
+sources together: sweeps alone do not get out of that.
+"""
+
+import copy
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, log_sum
+
+if TYPE_CHECKING:
+    from fieldkit.engine.belief.mixture import Mixture
+
+FIRST = 5.0
+"""Receptions at which a candidate's story is first told afresh; then at every 1.4 times as many."""
+BETTER_NATS = 1.0
+"""Evidence by which another story must be better."""
+
+
+def revise(mixture: "Mixture") -> bool:
+    """Tell the story of a candidate afresh, as one source and as two; whether another story was better.
+
+    Points dropped early and shares that vouch for each other can hold a candidate in a wrong place, or hold two
+    near sources together. A doubtful candidate is looked at with every reception, others ever more rarely.
+    """
+    changed = False
+    for candidate in list(mixture.candidates):
+        due = mixture.revise_at.setdefault(candidate.ident, FIRST)
+        count = candidate.receptions
+        if count < due:
+            continue
+        mixture.revise_at[candidate.ident] = count + 0.9 if candidate.state == "doubtful" else 1.4 * count
+        if candidate.absorbed > 0.0:
+            continue
+        share = {number: share for number, share in candidate.share.items() if share > 0.05}
+        stories = [[candidate], _one(mixture, candidate, share), *_two(mixture, candidate, share)]
+        scores = [_score(mixture, story, share) for story in stories]
+        best = int(np.argmax(scores))
+        if best == 0 or scores[best] < scores[0] + 1.0:
+            continue
+        mixture.remove(candidate)
+        stories[best][0].ident = candidate.ident
+        mixture.candidates += stories[best]
+        for part in stories[best]:
+            _know_all(mixture, part)
+        stories[best][0].state = candidate.state
+        changed = True
+    return changed
+
+
+def _know_all(mixture: "Mixture", candidate: Candidate) -> None:
+    for number, other in mixture.open.items():
+        if number not in candidate.logs and mixture.in_reach(candidate, other):
+            candidate.know(number, mixture.model.log_likelihood(other.detection, candidate.points_m))
+
+
+def _fresh(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> Candidate:
+    """An empty candidate whose cloud covers wherever the given detections may have come from."""
+    centre = mixture.summary(candidate).mean_m
+    half = 0.75 * mixture.model.reach_m
+    row0, row1, column0, column1 = mixture.grid.box_around(centre[None, :], half)
+    fresh = mixture.new_candidate((column0, column1), (row0, row1))
+    for number in share:
+        fresh.know(number, mixture.model.log_likelihood(mixture.open[number].detection, fresh.points_m))
+    return fresh
+
+
+def _one(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> list[Candidate]:
+    fresh = _fresh(mixture, candidate, share)
+    for number, part in share.items():
+        fresh.set_share(number, part)
+    fresh.prune()
+    return [fresh]
+
+
+def _two(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> list[list[Candidate]]:
+    """Two sources, from first guesses that divide the detections across the line they spread on most."""
+    blank = _fresh(mixture, candidate, share)
+    alone = []
+    for log in blank.logs.values():
+        weight = np.exp(mixture.model.marginal(log))
+        alone.append((weight / weight.sum()) @ blank.points_m)
+    spread = np.array(alone) - np.mean(alone, axis=0)
+    axis = np.linalg.svd(spread, full_matrices=False)[2][0]
+    stories = []
+    for turn_rad in (0.0, np.pi / 3, -np.pi / 3):
+        across = np.array([np.cos(turn_rad) * axis[0] - np.sin(turn_rad) * axis[1],
+                           np.sin(turn_rad) * axis[0] + np.cos(turn_rad) * axis[1]])  # fmt: skip
+        along = spread @ across
+        order = np.argsort(np.argsort(along, kind="stable"), kind="stable")
+        pair = _divide(mixture, blank, share, order * 2 < len(share))
+        if min(part.receptions for part in pair) >= 1.0:
+            stories.append(pair)
+    return stories
+
+
+def _divide(
+    mixture: "Mixture", blank: Candidate, share: dict[int, float], lean: NDArray[np.bool_]
+) -> list[Candidate]:
+    """Two candidates that settle between them who sent what, from a first guess."""
+    pair = [copy.copy(blank), copy.copy(blank)]
+    for part in pair:
+        part.logs, part.share, part.evidence = dict(blank.logs), dict(blank.share), blank.evidence.copy()
+    pair[1].ident = mixture.next_ident()
+    for first_more, (number, whole) in zip(lean, share.items(), strict=True):
+        first = 0.9 if first_more else 0.1
+        pair[0].set_share(number, first * whole)
+        pair[1].set_share(number, (1.0 - first) * whole)
+    for _ in range(8):
+        for part in pair:
+            part.prune()
+        logs = [part.log_posterior() for part in pair]
+        exposure = [part.mean_exposure_s(part.posterior()) for part in pair]
+        moved = 0.0
+        for number, whole in share.items():
+            terms = np.array(
+                [
+                    np.log(
+                        (RATE_SHAPE + max(0.0, c.receptions - c.share[number]))
+                        / (mixture.rate_prior_s + seen)
+                    )
+                    + c.log_predictive(number, log)
+                    for c, log, seen in zip(pair, logs, exposure, strict=True)
+                ]
+            )
+            shares = whole * np.exp(terms - log_sum(terms))
+            for index, part in enumerate(pair):
+                change = float(shares[index]) - part.share[number]
+                moved += abs(change)
+                part.set_share(number, float(shares[index]))
+                logs[index] = logs[index] + change * part.logs[number]
+        if moved < 0.05:
+            break
+    return pair
+
+
+def _score(mixture: "Mixture", story: list[Candidate], share: dict[int, float]) -> float:
+    """Lower bound of the log evidence of a story that shares out the same detections."""
+    total = sum(candidate.log_evidence() for candidate in story)
+    for number, part in share.items():
+        parts = np.array([candidate.share.get(number, 0.0) for candidate in story]) / part
+        total -= part * float((parts * np.log(np.maximum(parts, 1e-12))).sum())
+    return total
