@@ -74,8 +74,10 @@ def _teams(progress: Progress) -> list[tuple[str, str]]:
 def _line(progress: Progress) -> str:
     found, candidates = _found(progress)
     doing = "; ".join(f"{team} {what}" for team, what in _teams(progress))
-    return f"{progress.elapsed_s:6.0f} s  {progress.detections:3d} detections  {found} found  "
+    return (
+        f"{progress.elapsed_s:6.0f} s  {progress.detections:3d} detections  {found} found  "
         f"{candidates} candidates  {doing}"
+    )
 
 
 def _panel(progress: Progress) -> Group:
