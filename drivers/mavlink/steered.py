@@ -1,0 +1,122 @@
+"""One vehicle of ours and what we are doing with it; the messages that set its rates and send it somewhere."""
+
+import asyncio
+import math
+from dataclasses import dataclass, field
+
+from drivers.mavlink.codec import Message, mavlink
+from drivers.mavlink.modes import COPTER
+from drivers.mavlink.plans import Inbox
+from drivers.mavlink.vehicle import Vehicle
+from fieldkit.errors import DeviceTimeout, VehicleRefused
+from fieldkit.geo import FieldFrame
+from fieldkit.messages import Waypoint
+
+RATES_HZ = {
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 1.0,
+}
+"""What we want to hear, how often."""
+TARGET_TOLERANCE = 10
+"""Degrees times 1e7: the vehicle echoes its target exactly; a centimetre of slack."""
+ECHO_S = 1.5
+"""The echo of a target comes once a second."""
+RESENDS = 3
+
+
+@dataclass
+class Steered:
+    """What we are doing with one vehicle."""
+
+    vehicle: Vehicle
+    lock: asyncio.Lock
+    orders: int = 0
+    """Counts commands that change what it should do: an older one gives up."""
+    target: tuple[int, int] | None = None
+    target_s: float = -math.inf
+    speed_m_s: float | None = None
+    resent: int = 0
+    rates_asked_s: float = -math.inf
+    waypoint: Waypoint | None = None
+    inboxes: list[Inbox] = field(default_factory=list)
+
+    def goes_elsewhere(self, now_s: float) -> bool:
+        """Whether it is ours, under way, and says that it is going somewhere else than we sent it."""
+        vehicle, said = self.vehicle, self.vehicle.position_target
+        if self.target is None or said is None or self.lock.locked():
+            return False
+        if vehicle.owner != "us" or vehicle.actual_mode != "guided":
+            return False
+        fresh = vehicle.position_target_s >= self.target_s + ECHO_S
+        apart = max(abs(said[0] - self.target[0]), abs(said[1] - self.target[1]))
+        return fresh and apart > TARGET_TOLERANCE and self.resent < RESENDS
+
+    def stop(self) -> None:
+        """A hold or a return: what went before is off."""
+        self.orders += 1
+        self.target = None
+        self.speed_m_s = None
+
+
+def refuse_double(vehicle: Vehicle) -> None:
+    """Raise `VehicleRefused` where two vehicles answer to one system id."""
+    if vehicle.doubles:
+        raise VehicleRefused(
+            f"{vehicle.robot}: two vehicles have system id {vehicle.system_id}; give each its own "
+            "(MAV_SYSID or SYSID_THISMAV) and start again"
+        )
+
+
+def must_be_ours(vehicle: Vehicle) -> None:
+    """Raise `DeviceTimeout` or `VehicleRefused` unless the vehicle is ours to drive now."""
+    refuse_double(vehicle)
+    if not vehicle.link_up:
+        raise DeviceTimeout(f"{vehicle.robot}: its link is lost")
+    if vehicle.owner != "us":
+        lost = vehicle.owner == "lost" and vehicle.texts
+        why = vehicle.texts[-1][1] if lost else "it was not taken over"
+        raise VehicleRefused(f"{vehicle.robot}: not ours to steer: {why}")
+    if not vehicle.armed:
+        raise VehicleRefused(f"{vehicle.robot}: is disarmed")
+
+
+def degrees_e7(robot: str, waypoint: Waypoint, frame: FieldFrame) -> tuple[int, int]:
+    """Latitude and longitude of a way-point, times 1e7. Raises `VehicleRefused` for a place that is none."""
+    numbers = (waypoint.east_m, waypoint.north_m, waypoint.up_m, waypoint.speed_m_s)
+    if not all(math.isfinite(number) for number in numbers) or waypoint.speed_m_s <= 0:
+        raise VehicleRefused(f"{robot}: {waypoint} is no place to go")
+    lat_deg, lon_deg, _ = frame.to_geodetic(waypoint.east_m, waypoint.north_m, waypoint.up_m)
+    lat, lon = round(lat_deg * 1e7), round(lon_deg * 1e7)
+    # ArduRover takes 0, 0 from a position target and sets off for the Gulf of Guinea.
+    if (lat, lon) == (0, 0) or abs(lat) > 900_000_000:
+        raise VehicleRefused(f"{robot}: {waypoint} is at latitude {lat_deg}, longitude {lon_deg}: refused")
+    return lat, lon
+
+
+def interval(vehicle: Vehicle, number: int, rate_hz: float, attempt: int) -> Message:
+    """Asks for a message at a rate."""
+    command = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    return mavlink.MAVLink_command_long_message(
+        vehicle.system_id, 1, command, attempt, number, 1e6 / rate_hz, 0, 0, 0, 0, 0
+    )
+
+
+def reposition(vehicle: Vehicle, lat: int, lon: int, waypoint: Waypoint) -> Message:
+    """Integers, never COMMAND_LONG: a float32 longitude is off by metres. Altitude is above home."""
+    return mavlink.MAVLink_command_int_message(
+        vehicle.system_id,
+        1,
+        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+        mavlink.MAV_CMD_DO_REPOSITION,
+        0,
+        0,
+        waypoint.speed_m_s,
+        mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE,
+        0,
+        math.nan,
+        lat,
+        lon,
+        waypoint.up_m if vehicle.firmware is COPTER else 0.0,
+    )
