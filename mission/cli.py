@@ -102,26 +102,31 @@ def replay(
     antenna: Annotated[Path | None, typer.Option(help="What if: another antenna file.")] = None,
     belief: Annotated[str | None, typer.Option(help="What if: another belief.")] = None,
     planner: Annotated[str | None, typer.Option(help="What if: another planner.")] = None,
+    whatif: Annotated[
+        bool, typer.Option("--what-if", help="Compare nothing; just show what comes out.")
+    ] = False,
     until: Annotated[float | None, typer.Option(help="Stop after this many seconds of the mission.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Re-run the engine on a recording: the same belief and commands, or the first event that differs.
 
-    With --belief or --planner the recording's inbox is fed to another engine instead, and nothing is compared.
-    With --antenna the recorded results are compared with what the other antenna gives: exit code 1 if they differ.
+    Exit code 1 if anything differs. --belief, --planner and --antenna with --what-if feed the recorded inbox to another
+    engine instead; robots stay on their recorded paths.
 
     Example: fieldkit replay runs/20260102T030405Z/mission.mcap
     """
     from fieldkit.antenna.file import read_antenna
     from fieldkit.recording.reader import open_recording
     from mission.console import sources_table
-    from mission.replay import recorded_mission, what_if
+    from mission.replay import recorded_mission, same_antenna, what_if
     from mission.replay import replay as replay_log
 
     recording = open_recording(log)
     given = read_antenna(antenna) if antenna is not None else None
     mission = recorded_mission(recording, given, antenna.read_text(encoding="utf-8") if antenna else "")
-    changed = belief is not None or planner is not None
+    changed = whatif or belief is not None or planner is not None
+    if antenna is not None and not changed:
+        same_antenna(recording, mission, antenna)
     if changed:
         mission = what_if(mission, belief=belief, planner=planner)
     done = replay_log(log, mission=mission, check=not changed, until_s=until)

@@ -1,13 +1,13 @@
 """A recorded mission through the same kernel and safety again: the same belief and commands, bit for bit, or the
 first event where they differ."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from fieldkit.antenna.file import AntennaFile, parse_antenna
 from fieldkit.clock import wall_s
-from fieldkit.errors import RecordingError, ReplayMismatch
+from fieldkit.errors import DataError, RecordingError, ReplayMismatch
 from fieldkit.messages import Command
 from fieldkit.recording.reader import Recording, open_recording
 from mission.config import Mission, assemble, parse_mission

@@ -1,9 +1,14 @@
 """One suite per port, over every driver on its emulator and every stand-in."""
 
 import pytest
+import stand_ins
 from benches import POSITION_SOURCES, RECEIVERS, VEHICLE_LINKS
 
 from fieldkit.testing import check_position_source, check_receiver, check_vehicle_link
+
+RECEIVERS |= {"fake": stand_ins.fake_receiver, "replay": stand_ins.played_receiver}
+VEHICLE_LINKS |= {"fake": stand_ins.fake_fleet}
+POSITION_SOURCES |= {"replay": stand_ins.played_positions}
 
 
 @pytest.mark.parametrize("name", RECEIVERS)

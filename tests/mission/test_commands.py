@@ -57,12 +57,18 @@ def test_replay_json_is_alone_on_standard_output(log: Path) -> None:
     assert json.loads(done.stdout)["identical"] is True
 
 
-def test_replay_with_another_antenna_fails_with_code_1(log: Path, tmp_path: Path) -> None:
+def test_replay_with_a_changed_antenna_file_names_the_change_and_the_way_out(
+    log: Path, tmp_path: Path
+) -> None:
     other = tmp_path / "antenna.toml"
     other.write_text((log.parent / "antenna.toml").read_text().replace("sigma_db = 3.3", "sigma_db = 5.0"))
     done = fieldkit("replay", str(log), "--antenna", str(other))
-    assert done.returncode == 1
-    assert "event" in done.stderr and "Traceback" not in done.stderr
+    assert done.returncode == 2
+    assert all(word in done.stderr for word in ("antenna.toml", "sigma_db 3.3", "5.0", "--what-if"))
+    what_if = fieldkit("replay", str(log), "--antenna", str(other), "--what-if", "--json")
+    assert json.loads(what_if.stdout)["identical"] is None
+    unchanged = fieldkit("replay", str(log), "--antenna", str(log.parent / "antenna.toml"))
+    assert unchanged.returncode == 0
 
 
 def test_report_is_one_offline_page(log: Path, tmp_path: Path) -> None:

@@ -1,0 +1,175 @@
+"""Stand-ins for the ports, in process: a radio that is a queue, vehicles that simply drive.
+
+They pass the same conformance suite as the drivers, so that a mission cannot tell them apart but by speed.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Mapping
+from types import TracebackType
+from typing import Generic, Self, TypeVar
+
+from fieldkit.clock import Clock
+from fieldkit.errors import DeviceError, VehicleRefused
+from fieldkit.messages import Pose, ReceiverState, RssReading, VehicleMode, VehicleState, Waypoint
+from fieldkit.world.rover import Rover
+
+Item = TypeVar("Item")
+STEP_S = 0.1
+POSE_S = 0.25
+STATE_S = 1.0
+
+
+class _Stream(Generic[Item]):
+    """A queue that can be closed under its consumer, and taken up again by another."""
+
+    def __init__(self) -> None:
+        self._items: list[Item] = []
+        self._more = asyncio.Event()
+        self._closed = False
+
+    def put(self, item: Item) -> None:
+        self._items.append(item)
+        self._more.set()
+
+    def close(self) -> None:
+        self._closed = True
+        self._more.set()
+
+    async def items(self) -> AsyncIterator[Item]:
+        while True:
+            while self._items:
+                yield self._items.pop(0)
+            if self._closed:
+                return
+            self._more.clear()
+            await self._more.wait()
+
+
+class FakeReceiver:
+    """A `Receiver` that hears what `hear` is given."""
+
+    def __init__(self, robot: str, clock: Clock) -> None:
+        self.robot = robot
+        self._clock = clock
+        self._stream: _Stream[RssReading | ReceiverState] = _Stream()
+
+    async def __aenter__(self) -> Self:
+        self._stream = _Stream()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stream.close()
+
+    def readings(self) -> AsyncIterator[RssReading | ReceiverState]:
+        """What was heard, and changes of state."""
+        return self._stream.items()
+
+    def hear(self, rss_dbm: float) -> None:
+        """A transmission of this strength, now."""
+        self._stream.put(RssReading(self._clock.now_ns(), self.robot, rss_dbm, "sim"))
+
+    def set_up(self, up: bool, reason: str = "") -> None:
+        """Unplug or plug in."""
+        self._stream.put(ReceiverState(self._clock.now_ns(), self.robot, up, reason))
+
+
+class FakeFleet:
+    """A `VehicleLink` whose vehicles are `Rover`s stepped by a task; they always obey once taken over."""
+
+    def __init__(self, rovers: Mapping[str, Rover], clock: Clock) -> None:
+        self.robots = tuple(rovers)
+        self.rovers = dict(rovers)
+        self.beats = 0
+        """Heartbeats from the steering loop."""
+        self._clock = clock
+        self._home = {name: (rover.east_m, rover.north_m) for name, rover in rovers.items()}
+        self._mode: dict[str, VehicleMode] = dict.fromkeys(self.robots, "other")
+        self._armed = dict.fromkeys(self.robots, False)
+        self._stream: _Stream[Pose | VehicleState] = _Stream()
+        self._task: asyncio.Task[None] | None = None
+
+    async def __aenter__(self) -> Self:
+        self._stream = _Stream()
+        self._task = asyncio.create_task(self._drive(), name="fake fleet")
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+            self._task = None
+        self._stream.close()
+
+    def events(self) -> AsyncIterator[Pose | VehicleState]:
+        """Poses four times a second, states once a second and on change."""
+        return self._stream.items()
+
+    def beat(self) -> None:
+        """Count it."""
+        self.beats += 1
+
+    async def take_over(self, robot: str) -> None:
+        """Ours, and armed."""
+        self._check(robot)
+        self._armed[robot] = True
+        self._set(robot, "guided")
+
+    async def goto(self, robot: str, waypoint: Waypoint) -> None:
+        """Drive there. Refused before `take_over`, and for targets that are no numbers."""
+        self._check(robot)
+        if not self._armed[robot]:
+            raise VehicleRefused(f"{robot}: not ours to steer: take it over first")
+        if not abs(waypoint.east_m) + abs(waypoint.north_m) + abs(waypoint.speed_m_s) < float("inf"):
+            raise VehicleRefused(f"{robot}: a way-point that is no number: {waypoint}")
+        self.rovers[robot].go_to(waypoint.east_m, waypoint.north_m, waypoint.speed_m_s)
+        self._set(robot, "guided")
+
+    async def hold(self, robot: str) -> None:
+        """Stop."""
+        self._check(robot)
+        self.rovers[robot].stop()
+        self._set(robot, "hold")
+
+    async def return_home(self, robot: str) -> None:
+        """Drive to where it started."""
+        self._check(robot)
+        self.rovers[robot].go_to(*self._home[robot], self.rovers[robot].max_speed_m_s)
+        self._set(robot, "return")
+
+    def _check(self, robot: str) -> None:
+        if robot not in self.rovers:
+            raise DeviceError(f"no vehicle {robot!r} on this link; there are: {', '.join(self.robots)}")
+
+    def _set(self, robot: str, mode: VehicleMode) -> None:
+        self._mode[robot] = mode
+        self._state(robot)
+
+    def _state(self, robot: str) -> None:
+        self._stream.put(VehicleState(self._clock.now_ns(), robot, self._mode[robot], self._armed[robot]))
+
+    async def _drive(self) -> None:
+        last_s = pose_s = state_s = self._clock.elapsed_s()
+        while True:
+            now_s = self._clock.elapsed_s()
+            while last_s + STEP_S <= now_s:
+                last_s += STEP_S
+                for rover in self.rovers.values():
+                    rover.step(STEP_S)
+            if now_s >= pose_s:
+                pose_s = now_s + POSE_S
+                for name, rover in self.rovers.items():
+                    pose = Pose(
+                        self._clock.now_ns(), name, rover.east_m, rover.north_m, 0.0, rover.heading_deg
+                    )
+                    self._stream.put(pose)
+            if now_s >= state_s:
+                state_s = now_s + STATE_S
+                for name in self.robots:
+                    self._state(name)
+            await self._clock.sleep(STEP_S)
