@@ -49,7 +49,7 @@ def fit(
         bool, typer.Option("--receiver-offsets", help="Find how each receiver differs from the first.")
     ] = False,
     pattern: Annotated[
-        Literal["none", "auto", "circle", "ellipse", "lobe", "fourier", "spline"],
+        Literal["none", "auto", "circle", "ellipse", "lobe", "dipole", "fourier", "spline"],
         typer.Option(help="Gain by heading (column heading_deg): auto chooses by BIC."),
     ] = "none",
     place_cell_m: _PLACE = None,

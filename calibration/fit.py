@@ -183,10 +183,10 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
         censor_dbm=censor,
     )
     time_db, place_db = split_sigma(readings, sigma, saturation)
-    by_receiver = _offsets(result) if options.receiver_offsets else {}
+    by_receiver = offsets_of(result) if options.receiver_offsets else {}
     return replace(
         result,
-        intervals_95=_intervals(result),
+        intervals_95=intervals(result),
         sigma_time_db=time_db,
         sigma_place_db=place_db,
         receiver_offsets_db=by_receiver,
@@ -229,7 +229,8 @@ def _odd(
     return odd, lost
 
 
-def _intervals(result: FitResult) -> dict[str, tuple[float, float]]:
+def intervals(result: FitResult) -> dict[str, tuple[float, float]]:
+    """95 % by the clustered covariance and Student's t."""
     half = result.quantile * standard_errors(result.covariance)
     low, high = result.theta - half, result.theta + half
     return {
@@ -240,7 +241,8 @@ def _intervals(result: FitResult) -> dict[str, tuple[float, float]]:
     }
 
 
-def _offsets(result: FitResult) -> dict[str, tuple[float, float]]:
+def offsets_of(result: FitResult) -> dict[str, tuple[float, float]]:
+    """Receiver to its offset from the first and the 95 % half-width."""
     half = result.quantile * standard_errors(result.covariance)
     names = result.readings.receivers[1:]
     return {name: (float(result.theta[2 + i]), float(half[2 + i])) for i, name in enumerate(names)}

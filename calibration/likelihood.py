@@ -114,20 +114,24 @@ def place_scores(theta: FloatArray, rows: Rows) -> FloatArray:
     return scores
 
 
-def maximise(rows: Rows, start: FloatArray) -> tuple[FloatArray, bool]:
-    """Parameters of least `nll`, and whether the search converged."""
+def maximise(rows: Rows, start: FloatArray, penalty: FloatArray | None = None) -> tuple[FloatArray, bool]:
+    """Parameters of least `nll`, and whether the search converged.
+
+    `penalty` (p + 1, p + 1): half of theta' penalty theta is added, to keep what is smooth smooth.
+    """
     from scipy.optimize import minimize
 
     total = float(rows.count.sum())
+    ridge = np.zeros((len(start), len(start))) if penalty is None else penalty
     # Per reading, so that the tolerance means the same for a hundred readings and for a million.
     found = minimize(
-        lambda t: nll(t, rows) / total,
+        lambda t: (nll(t, rows) + 0.5 * t @ ridge @ t) / total,
         start,
-        jac=lambda t: gradient(t, rows) / total,
-        hess=lambda t: hessian(t, rows) / total,
+        jac=lambda t: (gradient(t, rows) + ridge @ t) / total,
+        hess=lambda t: (hessian(t, rows) + ridge) / total,
         method="trust-exact",
         options={"gtol": 1e-8, "maxiter": 200, "initial_trust_radius": 2.0},
     )
-    steep = float(np.abs(gradient(found.x, rows)).max()) / total
+    steep = float(np.abs(gradient(found.x, rows) + ridge @ found.x).max()) / total
     sane = bool(np.all(np.isfinite(found.x))) and float(np.exp(found.x[-1])) < 100.0
     return found.x, sane and steep < 1e-5

@@ -7,7 +7,7 @@ import numpy as np
 from calibration.fit import FitResult
 from calibration.patterns import Pattern
 from calibration.verdict import Judgement
-from fieldkit.antenna.file import AntennaFile
+from fieldkit.antenna.file import SHAPES, AntennaFile
 
 _NAMES = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
 
@@ -41,7 +41,7 @@ def antenna_file(
         covariance={"names": list(_NAMES), "matrix": covariance(result).tolist()},
         data=data,
         radio={"setting": radio} if radio else {},
-        model="omnidirectional" if _round(pattern) else "tabulated",
+        model=_model(pattern),
         pattern={} if pattern is None or _round(pattern) else _table(pattern),
     )
 
@@ -50,9 +50,21 @@ def _round(pattern: Pattern | None) -> bool:
     return pattern is None or pattern.family == "circle"
 
 
+def _model(pattern: Pattern | None) -> str:
+    if pattern is None or _round(pattern):
+        return "omnidirectional"
+    return pattern.family if pattern.family in SHAPES else "tabulated"
+
+
 def _table(pattern: Pattern) -> dict[str, Any]:
     heading, gain = pattern.table()
-    return {"family": pattern.name, "heading_deg": heading.tolist(), "gain_db": np.round(gain, 3).tolist()}
+    table = {
+        "family": pattern.name,
+        "heading_deg": heading.tolist(),
+        "gain_db": np.round(gain, 3).tolist(),
+        "gain_sigma_db": np.round(pattern.gain_sigma(heading), 3).tolist(),
+    }
+    return {**table, "parameters": pattern.shape} if pattern.shape else table
 
 
 def covariance(result: FitResult) -> np.ndarray:

@@ -8,15 +8,18 @@ from calibration.likelihood import Rows
 from fieldkit.messages import FloatArray
 
 
-def clustered(theta: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray, float]:
-    """Sandwich covariance by place, the naive one, and Student's t for 95 %.
+def clustered(
+    theta: FloatArray, rows: Rows, penalty: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, float]:
+    """Sandwich covariance by place, the naive one, and Student's t for 95 %. `penalty` as in `maximise`.
 
     Small-sample factor G/(G - p) and G - p degrees of freedom: with few places the plain sandwich is too sure
     (Cameron and Miller, A practitioner's guide to cluster-robust inference, J. Human Resources 50, 2015).
     """
     from scipy.special import stdtrit
 
-    bread = np.asarray(np.linalg.pinv(likelihood.hessian(theta, rows)), dtype=float)
+    curve = likelihood.hessian(theta, rows) + (0.0 if penalty is None else penalty)
+    bread = np.asarray(np.linalg.pinv(curve), dtype=float)
     scores = likelihood.place_scores(theta, rows)
     groups, p = scores.shape
     spare = max(1, groups - p)

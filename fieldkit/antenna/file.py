@@ -5,12 +5,22 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import tomlkit
+from numpy.typing import ArrayLike
 
-from fieldkit.antenna.model import Antenna
+from fieldkit.antenna.model import MIN_RANGE_M, Antenna
+from fieldkit.antenna.pattern import dipole_gain_db, lobe_gain_db, table_db
 from fieldkit.errors import ConfigError
+from fieldkit.messages import FloatArray
 
 SCHEMA = 1
+MODELS = ("omnidirectional", "lobe", "dipole", "tabulated")
+SHAPES: dict[str, tuple[str, ...]] = {
+    "lobe": ("front_deg", "narrowness", "floor_db", "offset_db"),
+    "dipole": ("front_deg", "front_to_back_db", "floor_db", "offset_db"),
+}
+"""Directional model to the keys of its `pattern.parameters`; `offset_db` makes its gain average zero."""
 Verdict = Literal["accepted", "accepted with warnings", "refused"]
 _REQUIRED = ("path_loss_exponent", "power_at_1m_dbm", "sigma_db", "threshold_dbm")
 
@@ -32,9 +42,53 @@ class AntennaFile:
     radio: dict[str, Any] = field(default_factory=dict)
     """family, setting: free text about the radios the readings came from."""
     model: str = "omnidirectional"
-    """"tabulated" where `pattern` holds an antenna's gain by heading."""
+    """One of `MODELS`: how the gain depends on heading."""
     pattern: dict[str, Any] = field(default_factory=dict)
-    """family, heading_deg (clockwise from the antenna's front), gain_db; empty: the same all round."""
+    """family, heading_deg (clockwise from the antenna's front), gain_db, gain_sigma_db (its standard error),
+    and parameters for the models in `SHAPES`; empty: the same all round."""
+
+
+def gain_db(file: AntennaFile, heading_deg: ArrayLike) -> FloatArray:
+    """How much more than all round is heard from `heading_deg` (clockwise from the front), in dB.
+
+    Zero everywhere for an omnidirectional antenna. Gains average zero over the headings.
+    """
+    if not file.pattern:
+        return np.zeros_like(np.asarray(heading_deg, dtype=float))
+    if file.model in SHAPES:
+        values = [float(file.pattern["parameters"][name]) for name in SHAPES[file.model]]
+        return (lobe_gain_db if file.model == "lobe" else dipole_gain_db)(heading_deg, *values)
+    return table_db(heading_deg, file.pattern["heading_deg"], file.pattern["gain_db"])
+
+
+def predictive_sigma_db(
+    file: AntennaFile, range_m: ArrayLike, heading_deg: ArrayLike | None = None
+) -> FloatArray:
+    """Standard deviation of a new reading at `range_m`, given that the parameters are not known exactly, in dB.
+
+    sigma^2 + Var(sigma) + g' C g, with g = (1, -10 log10 range) the mean's derivative by power and exponent and
+    C the file's covariance (delta method; exact here, the mean being linear in both). With `heading_deg`, which
+    must broadcast with `range_m`, the pattern's own error is added. A file without covariance gives its sigma.
+    """
+    log_range = np.log10(np.maximum(np.asarray(range_m, dtype=float), MIN_RANGE_M))
+    names = list(file.covariance.get("names", ()))
+    matrix = np.asarray(file.covariance.get("matrix", np.zeros((0, 0))), dtype=float)
+
+    def covariance(first: str, second: str) -> float:
+        known = first in names and second in names
+        return float(matrix[names.index(first), names.index(second)]) if known else 0.0
+
+    variance = (
+        file.antenna.sigma_db**2
+        + covariance("sigma_db", "sigma_db")
+        + covariance("power_at_1m_dbm", "power_at_1m_dbm")
+        - 20.0 * log_range * covariance("power_at_1m_dbm", "path_loss_exponent")
+        + (10.0 * log_range) ** 2 * covariance("path_loss_exponent", "path_loss_exponent")
+    )
+    if heading_deg is not None and "gain_sigma_db" in file.pattern:
+        error = table_db(heading_deg, file.pattern["heading_deg"], file.pattern["gain_sigma_db"])
+        variance = variance + error**2
+    return np.sqrt(variance)
 
 
 def read_antenna(path: Path, *, allow_refused: bool = False, allow_pattern: bool = False) -> AntennaFile:
@@ -53,7 +107,7 @@ def read_antenna(path: Path, *, allow_refused: bool = False, allow_pattern: bool
     if parsed.pattern and not allow_pattern:
         raise ConfigError(
             f"{path}: model: expected 'omnidirectional', got {parsed.model!r}: this antenna's "
-            "gain depends on heading"
+            "gain depends on heading, which this use of it cannot take into account"
         )
     if parsed.verdict == "refused" and not allow_refused:
         reasons = "; ".join(parsed.reasons) or "no reason recorded"
@@ -73,10 +127,10 @@ def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
             f"{where}: schema: {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
         )
     model, pattern = raw.get("model", "omnidirectional"), raw.get("pattern", {})
-    if model not in ("omnidirectional", "tabulated"):
-        raise ConfigError(f"{where}: model: expected 'omnidirectional' or 'tabulated', got {model!r}")
-    if model == "tabulated":
-        _check_pattern(pattern, where)
+    if model not in MODELS:
+        raise ConfigError(f"{where}: model: expected one of {', '.join(MODELS)}, got {model!r}")
+    if model != "omnidirectional":
+        _check_pattern(pattern, model, where)
     parameters = raw.get("parameters")
     if not isinstance(parameters, dict):
         raise ConfigError(f"{where}: parameters: expected a table, got {parameters!r}")
@@ -109,25 +163,52 @@ def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
         intervals_95={
             name: (float(low), float(high)) for name, (low, high) in raw.get("intervals_95", {}).items()
         },
-        covariance=dict(raw.get("covariance", {})),
+        covariance=_checked_covariance(raw.get("covariance", {}), state, where),
         data=dict(raw.get("data", {})),
         radio=dict(raw.get("radio", {})),
         model=model,
-        pattern=dict(pattern) if model == "tabulated" else {},
+        pattern={} if model == "omnidirectional" else dict(pattern),
     )
 
 
-def _check_pattern(pattern: Any, where: str) -> None:
-    """Two equally long lists of numbers."""
-    lists = [pattern.get(name) if isinstance(pattern, dict) else None for name in ("heading_deg", "gain_db")]
-    columns = [
-        each for each in lists if isinstance(each, list) and all(isinstance(x, int | float) for x in each)
-    ]
-    if len(columns) != 2 or len(columns[0]) != len(columns[1]) or len(columns[0]) < 4:
+def _check_pattern(pattern: Any, model: str, where: str) -> None:
+    """Equally long lists of numbers, and the parameters of a model that has some."""
+    if not isinstance(pattern, dict):
+        raise ConfigError(f"{where}: pattern: expected a table for the model {model!r}, got {pattern!r}")
+    wanted = ["heading_deg", "gain_db", *(["gain_sigma_db"] if "gain_sigma_db" in pattern else [])]
+    lists = [pattern.get(name) for name in wanted]
+    columns = [each for each in lists if isinstance(each, list) and all(map(_is_finite, each))]
+    if len(columns) != len(wanted) or len({len(each) for each in columns}) != 1 or len(columns[0]) < 4:
         raise ConfigError(
-            f"{where}: pattern: expected equally long lists heading_deg and gain_db of 4 numbers or more, "
+            f"{where}: pattern: expected equally long lists {', '.join(wanted)} of 4 finite numbers or more, "
             f"got {pattern!r}"
         )
+    parameters = pattern.get("parameters", {})
+    for name in SHAPES.get(model, ()):
+        if not isinstance(parameters, dict) or not _is_finite(parameters.get(name)):
+            given = parameters.get(name) if isinstance(parameters, dict) else parameters
+            raise ConfigError(f"{where}: pattern.parameters.{name}: expected a finite number, got {given!r}")
+
+
+def _checked_covariance(table: Any, state: str, where: str) -> dict[str, Any]:
+    """A square matrix with a name for each row; of finite numbers unless the file was refused anyway."""
+    if table == {}:
+        return {}
+    names = table.get("names") if isinstance(table, dict) else None
+    try:
+        matrix = np.asarray(table["matrix"], dtype=float)
+    except (KeyError, TypeError, ValueError):
+        matrix = np.full((0, 1), np.nan)
+    known = isinstance(names, list) and matrix.shape == (len(names), len(names))
+    if not known or (state != "refused" and not np.all(np.isfinite(matrix))):
+        raise ConfigError(
+            f"{where}: covariance: expected names and a square matrix of finite numbers, got {table!r}"
+        )
+    return dict(table)
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e6
 
 
 def dump_antenna(file: AntennaFile) -> str:

@@ -1,18 +1,21 @@
 """Radiation patterns are found, named and not invented."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from calibration import patterns
+from calibration import families, patterns
 from calibration.cli import app
 from calibration.dataset import from_arrays
 from calibration.fit import fit
 from calibration.verdict import judge
 from fieldkit.antenna.file import read_antenna
 from fieldkit.antenna.model import Antenna
+from fieldkit.antenna.pattern import dipole_gain_db
 from fieldkit.errors import ConfigError, DataError
 
 ANTENNA = Antenna(2.5, -55.0, 3.0, -85.0)
@@ -28,6 +31,7 @@ SHAPES = {
         ),
         -12,
     ),
+    "dipole": lambda h: dipole_gain_db(h, 100.0, 3.0, 14.0),
     "fourier": lambda h: 5 * np.cos(np.radians(h - 30)) + 3 * np.cos(2 * np.radians(h)),
 }
 
@@ -59,14 +63,14 @@ def test_without_the_pattern_the_same_readings_are_refused():
 
 
 def test_every_gain_averages_zero_over_the_headings():
-    for family in patterns.FAMILIES:
+    for family in families.FAMILIES:
         _, pattern = patterns.fit_pattern(turned(SHAPES["lobe"], n=40), family=family)
         assert abs(pattern.gain(np.arange(0.0, 360.0)).mean()) < 1e-6, family
 
 
 @given(st.floats(-720, 720), st.integers(6, 12))
 def test_splines_are_periodic_and_sum_to_zero(heading, knots):
-    basis = patterns._spline(knots)
+    basis = families.spline(knots)
     np.testing.assert_allclose(basis(np.array([heading])), basis(np.array([heading + 360.0])), atol=1e-9)
 
 
@@ -92,5 +96,45 @@ def test_a_patterns_file_is_not_taken_for_an_omnidirectional_one(tmp_path):
     with pytest.raises(ConfigError, match="depends on heading"):
         read_antenna(out)
     file = read_antenna(out, allow_pattern=True)
-    assert file.model == "tabulated" and file.pattern["family"] == "lobe"
+    assert file.model == "lobe" and file.pattern["family"] == "lobe"
     assert file.pattern["heading_deg"][np.argmax(file.pattern["gain_db"])] == pytest.approx(40.0, abs=5.0)
+
+
+def test_the_gains_error_is_how_much_the_gain_differs_from_set_to_set():
+    heading = np.arange(0.0, 360.0, 30.0)
+    fits = [
+        patterns.fit_pattern(turned(SHAPES["fourier"], seed, n=60), family="fourier") for seed in range(30)
+    ]
+    fits = [(result, pattern) for result, pattern in fits if pattern.name == "fourier 2"]
+    scatter = np.std([pattern.gain(heading) for _, pattern in fits], axis=0)
+    said = np.mean([pattern.gain_sigma(heading) for _, pattern in fits], axis=0)
+    np.testing.assert_allclose(said.mean(), scatter.mean(), rtol=0.2)
+
+
+@pytest.mark.parametrize("name", ["lobe", "dipole", "fourier"])
+def test_with_a_pattern_the_intervals_still_hold_the_truth(name):
+    shape = SHAPES[name]
+    covered = []
+    for seed in range(20):
+        result, _ = patterns.fit_pattern(turned(shape, seed, n=60, packets=5), family=name)
+        low, high = result.intervals_95["path_loss_exponent"]
+        covered.append(low <= ANTENNA.path_loss_exponent <= high)
+    # 95 % of 20: fewer than 16 happen once in 400 times.
+    assert sum(covered) >= 16
+
+
+def test_not_knowing_the_pattern_widens_the_intervals():
+    readings = turned(SHAPES["fourier"], n=20)
+    result, pattern = patterns.fit_pattern(readings, family="spline")
+    given = fit(replace(readings, gain_db=pattern.gain(readings.heading_deg)))
+    for name in ("path_loss_exponent", "power_at_1m_dbm"):
+        assert np.ptp(result.intervals_95[name]) > np.ptp(given.intervals_95[name]), name
+
+
+def test_a_smoothed_spline_does_not_oscillate_between_sampled_headings():
+    rng = np.random.default_rng(0)
+    readings = turned(SHAPES["circle"], seed=4, n=40, packets=3)
+    few = np.array([0.0, 60.0, 120.0, 180.0, 240.0, 300.0])[rng.integers(0, 6, 40)][readings.place]
+    _, pattern = patterns.fit_pattern(replace(readings, heading_deg=few), family="spline")
+    assert np.ptp(pattern.gain(np.arange(0.0, 360.0))) < 3.0
+    assert pattern.parameters < 11
