@@ -2,12 +2,13 @@
 
 import logging
 import sys
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
 
 from fieldkit import __version__, plugins
-from fieldkit.errors import FieldkitError
+from fieldkit.errors import ConfigError, FieldkitError
 
 HELP = """Find unknown, short-lived radio transmitters with a team of small robots.
 
@@ -46,8 +47,11 @@ def build() -> typer.Typer:
         rich_markup_mode=None,
     )
     app.callback()(_root)
-    for name, thing in plugins.load_all("fieldkit.commands"):
-        _add(app, name, thing)
+    for name in plugins.names("fieldkit.commands"):
+        try:
+            _add(app, name, plugins.load("fieldkit.commands", name))
+        except ConfigError as error:  # one broken package must not take the others' commands away
+            _add(app, name, _broken(str(error)))
     return app
 
 
@@ -56,6 +60,16 @@ def _add(app: typer.Typer, name: str, thing: Any) -> None:
         app.add_typer(thing, name=name)
     else:
         app.command(name)(thing)
+
+
+def _broken(message: str) -> Callable[[], None]:
+    """A command that says why it cannot be had."""
+
+    def explain() -> None:
+        raise ConfigError(message)
+
+    explain.__doc__ = "Not available: its package cannot be imported."
+    return explain
 
 
 def main() -> None:

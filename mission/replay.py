@@ -48,6 +48,21 @@ def recorded_mission(
     return assemble(file, recording.mission_toml, antenna, antenna_text, where)
 
 
+def same_antenna(recording: Recording, mission: Mission, given: Path) -> None:
+    """Raise `DataError` where an antenna file is not the one the mission was flown with, naming what differs."""
+    flown = asdict(recorded_mission(recording).antenna.antenna)
+    differing = [
+        f"{name} {flown[name]} recorded, {value} given"
+        for name, value in asdict(mission.antenna.antenna).items()
+        if flown[name] != value
+    ]
+    if differing:
+        raise DataError(
+            f"{given}: not the calibration this mission was flown with ({'; '.join(differing)}), so replaying "
+            "cannot give the same; leave --antenna out, or add --what-if to see what it gives"
+        )
+
+
 def replay(
     path: Path, *, mission: Mission | None = None, check: bool = True, until_s: float | None = None
 ) -> Replayed:

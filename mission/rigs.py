@@ -84,6 +84,8 @@ def emulated(
         seed=seed,
         pose_noise_m=pose_noise_m,
         max_speed_m_s=mission.safety.max_speed_m_s,
+        # A vehicle's own 5 s, as wall time: on a scaled clock a busy machine would look like a dead one.
+        gcs_failsafe_s=max(6.5, 5.0 * rate),
     )
     with emulators(spec) as field:
         robots = tuple(

@@ -36,6 +36,8 @@ class Candidate:
     """b of the Gamma prior."""
     exposure_s: FloatArray
     """(h, n) P(heard) integrated over the time listened."""
+    spacing_m: float
+    """Between neighbouring points."""
     evidence: FloatArray = field(init=False)
     """(h, n) sum of share times log-likelihood."""
     logs: dict[int, FloatArray] = field(default_factory=dict)

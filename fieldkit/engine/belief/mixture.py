@@ -23,6 +23,8 @@ CLUTTER_HZ = 2e-4
 """Rate of detections that come from no source: noise, other bands, reflections."""
 FINE = 0.5
 """Spacing of a candidate's points, in cells."""
+REFINE_POINTS = 300
+"""A candidate on one point a cell is told on the finer points once no more than these are left."""
 SWEEPS = 3
 BIRTH_ODDS = 1.5
 """Expected number of further sources that speak for themselves at which one is given a candidate."""
@@ -187,6 +189,10 @@ class Mixture:
                 self._summaries.pop(candidate.ident, None)
         for candidate in self.candidates:
             candidate.prune()
+            coarse = candidate.spacing_m > 1.01 * FINE * self.grid.cell_m
+            if coarse and candidate.points_m.shape[0] <= REFINE_POINTS:
+                self._refine(candidate)
+                self._summaries.pop(candidate.ident, None)
 
     def summary(self, candidate: Candidate) -> Summary:
         """The candidate's posterior in a few numbers, kept until it changes."""
@@ -234,7 +240,7 @@ class Mixture:
         rows = np.nonzero(near[south : int(row) + reach + 1].any(axis=1))[0] + south
         columns = np.nonzero(near[:, west : int(column) + reach + 1].any(axis=0))[0] + west
         candidate = self.new_candidate(
-            (int(columns.min()), int(columns.max()) + 1), (int(rows.min()), int(rows.max()) + 1)
+            (int(columns.min()), int(columns.max()) + 1), (int(rows.min()), int(rows.max()) + 1), spacing=1.0
         )
         rate = self.settings.reference_rate_hz
         for number, stored in self.open.items():
@@ -256,24 +262,42 @@ class Mixture:
         self.candidates.append(candidate)
         return True
 
-    def new_candidate(self, columns: tuple[int, int], rows: tuple[int, int]) -> Candidate:
-        """An empty candidate whose cloud covers these cells (half open) and one more all round."""
-        cell = self.grid.cell_m
-        fine = cell * FINE
-        per_cell = round(1.0 / FINE)
-        margin = 1
-        east = np.arange(
-            max(0, columns[0] - margin) * per_cell, min(self.grid.n_east, columns[1] + margin) * per_cell
-        )
-        north = np.arange(
-            max(0, rows[0] - margin) * per_cell, min(self.grid.n_north, rows[1] + margin) * per_cell
-        )
+    def new_candidate(
+        self, columns: tuple[int, int], rows: tuple[int, int], *, spacing: float | None = None
+    ) -> Candidate:
+        """An empty candidate whose cloud covers these cells (half open) and one more all round.
+
+        `spacing` of its points, in cells; one over a whole number.
+        """
+        fine = self.grid.cell_m * (spacing or FINE)
+        per_cell = round(1.0 / (spacing or FINE))
+        east = np.arange(max(0, columns[0] - 1) * per_cell, min(self.grid.n_east, columns[1] + 1) * per_cell)
+        north = np.arange(max(0, rows[0] - 1) * per_cell, min(self.grid.n_north, rows[1] + 1) * per_cell)
         points = np.column_stack(
             [np.tile((east + 0.5) * fine, north.size), np.repeat((north + 0.5) * fine, east.size)]
         )
         density = self.settings.expected_sources / self.grid.n_cells / per_cell**2
         prior = np.repeat(self.model.log_prior[:, None] + np.log(density), points.shape[0], axis=1)
-        return Candidate(self.next_ident(), points, prior, self.rate_prior_s, self.exposure_at(points))
+        return Candidate(self.next_ident(), points, prior, self.rate_prior_s, self.exposure_at(points), fine)
+
+    def _refine(self, candidate: Candidate) -> None:
+        """Tell a candidate that has become small on four points for each of its own; its shares stay."""
+        half = candidate.spacing_m / 2
+        corners = np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]]) * half
+        candidate.points_m = np.ascontiguousarray((candidate.points_m[:, None, :] + corners).reshape(-1, 2))
+        candidate.log_prior = np.repeat(candidate.log_prior - np.log(4.0), 4, axis=1)
+        # What has been folded in for good is known only on the old points.
+        folded = candidate.evidence - sum(
+            (share * candidate.logs[number] for number, share in candidate.share.items() if share > 0.0),
+            start=np.zeros_like(candidate.evidence),
+        )
+        candidate.evidence = np.repeat(folded, 4, axis=1)
+        candidate.spacing_m = half
+        candidate.expose(self.exposure_at(candidate.points_m))
+        for number, share in candidate.share.items():
+            log = self.model.log_likelihood(self.open[number].detection, candidate.points_m)
+            candidate.logs[number] = np.ascontiguousarray(log)
+            candidate.evidence += share * log
 
     def _merge(self) -> None:
         """Let one candidate speak for two where that explains better what both sent."""

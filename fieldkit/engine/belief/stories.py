@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, log_sum
+from fieldkit.messages import FloatArray
 
 if TYPE_CHECKING:
     from fieldkit.engine.belief.mixture import Mixture
@@ -25,31 +26,45 @@ def revise(mixture: "Mixture") -> bool:
     """Tell the story of a candidate afresh, as one source and as two; whether another story was better.
 
     Points dropped early and shares that vouch for each other can hold a candidate in a wrong place, or hold two
-    near sources together. A doubtful candidate is looked at with every reception, others ever more rarely.
+    near sources together. A doubtful candidate is looked at with every reception, others ever more rarely. One
+    and two are compared on a point a cell; the better story is then told on the usual points.
     """
     changed = False
     for candidate in list(mixture.candidates):
         due = mixture.revise_at.setdefault(candidate.ident, FIRST)
         count = candidate.receptions
-        if count < due:
+        if count < due or candidate.absorbed > 0.0:
             continue
-        mixture.revise_at[candidate.ident] = count + 0.9 if candidate.state == "doubtful" else 1.4 * count
-        if candidate.absorbed > 0.0:
-            continue
+        doubtful = candidate.state == "doubtful"
+        mixture.revise_at[candidate.ident] = count + 0.9 if doubtful else 1.4 * count
         share = {number: share for number, share in candidate.share.items() if share > 0.05}
-        stories = [[candidate], _one(mixture, candidate, share), *_two(mixture, candidate, share)]
-        scores = [_score(mixture, story, share) for story in stories]
-        best = int(np.argmax(scores))
-        if best == 0 or scores[best] < scores[0] + 1.0:
-            continue
+        blank = _fresh(mixture, candidate, share, spacing=1.0)
+        single = _alike(blank)
+        for number, part in share.items():
+            single.set_share(number, part)
+        pairs = _two(mixture, blank, share)
+        scores = [_score(pair, share) for pair in pairs]
+        if pairs and max(scores) > _score([single], share) + BETTER_NATS:
+            parts = [_retold(mixture, candidate, part.share) for part in pairs[int(np.argmax(scores))]]
+        else:
+            moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.grid.cell_m
+            if not (moved or doubtful):
+                continue
+            parts = [_retold(mixture, candidate, share)]
+            if _score(parts, share) < _score([candidate], share) + BETTER_NATS:
+                continue
         mixture.remove(candidate)
-        stories[best][0].ident = candidate.ident
-        mixture.candidates += stories[best]
-        for part in stories[best]:
-            _know_all(mixture, part)
-        stories[best][0].state = candidate.state
+        parts[0].ident = candidate.ident
+        parts[0].state = candidate.state
+        mixture.candidates += parts
+        for retold in parts:
+            _know_all(mixture, retold)
         changed = True
     return changed
+
+
+def _mean(candidate: Candidate) -> FloatArray:
+    return np.asarray(candidate.posterior().sum(axis=0) @ candidate.points_m)
 
 
 def _know_all(mixture: "Mixture", candidate: Candidate) -> None:
@@ -58,28 +73,38 @@ def _know_all(mixture: "Mixture", candidate: Candidate) -> None:
             candidate.know(number, mixture.model.log_likelihood(other.detection, candidate.points_m))
 
 
-def _fresh(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> Candidate:
+def _fresh(
+    mixture: "Mixture", candidate: Candidate, share: dict[int, float], *, spacing: float | None = None
+) -> Candidate:
     """An empty candidate whose cloud covers wherever the given detections may have come from."""
     centre = mixture.summary(candidate).mean_m
     half = 0.75 * mixture.model.reach_m
     row0, row1, column0, column1 = mixture.grid.box_around(centre[None, :], half)
-    fresh = mixture.new_candidate((column0, column1), (row0, row1))
+    fresh = mixture.new_candidate((column0, column1), (row0, row1), spacing=spacing)
     for number in share:
         fresh.know(number, mixture.model.log_likelihood(mixture.open[number].detection, fresh.points_m))
     return fresh
 
 
-def _one(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> list[Candidate]:
-    fresh = _fresh(mixture, candidate, share)
-    for number, part in share.items():
+def _retold(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> Candidate:
+    """A new candidate, on the usual points, that claims these shares."""
+    claimed = {number: part for number, part in share.items() if part > 0.0}
+    fresh = _fresh(mixture, candidate, claimed, spacing=1.0)
+    for number, part in claimed.items():
         fresh.set_share(number, part)
     fresh.prune()
-    return [fresh]
+    return fresh
 
 
-def _two(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> list[list[Candidate]]:
+def _alike(blank: Candidate) -> Candidate:
+    """A copy of an empty candidate that shares its arrays but claims for itself."""
+    other = copy.copy(blank)
+    other.logs, other.share, other.evidence = dict(blank.logs), dict(blank.share), blank.evidence.copy()
+    return other
+
+
+def _two(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> list[list[Candidate]]:
     """Two sources, from first guesses that divide the detections across the line they spread on most."""
-    blank = _fresh(mixture, candidate, share)
     alone = []
     for log in blank.logs.values():
         weight = np.exp(mixture.model.marginal(log))
@@ -88,9 +113,8 @@ def _two(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> l
     axis = np.linalg.svd(spread, full_matrices=False)[2][0]
     stories = []
     for turn_rad in (0.0, np.pi / 3, -np.pi / 3):
-        across = np.array([np.cos(turn_rad) * axis[0] - np.sin(turn_rad) * axis[1],
-                           np.sin(turn_rad) * axis[0] + np.cos(turn_rad) * axis[1]])  # fmt: skip
-        along = spread @ across
+        cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+        along = spread @ np.array([cos * axis[0] - sin * axis[1], sin * axis[0] + cos * axis[1]])
         order = np.argsort(np.argsort(along, kind="stable"), kind="stable")
         pair = _divide(mixture, blank, share, order * 2 < len(share))
         if min(part.receptions for part in pair) >= 1.0:
@@ -102,10 +126,7 @@ def _divide(
     mixture: "Mixture", blank: Candidate, share: dict[int, float], lean: NDArray[np.bool_]
 ) -> list[Candidate]:
     """Two candidates that settle between them who sent what, from a first guess."""
-    pair = [copy.copy(blank), copy.copy(blank)]
-    for part in pair:
-        part.logs, part.share, part.evidence = dict(blank.logs), dict(blank.share), blank.evidence.copy()
-    pair[1].ident = mixture.next_ident()
+    pair = [_alike(blank), _alike(blank)]
     for first_more, (number, whole) in zip(lean, share.items(), strict=True):
         first = 0.9 if first_more else 0.1
         pair[0].set_share(number, first * whole)
@@ -138,7 +159,7 @@ def _divide(
     return pair
 
 
-def _score(mixture: "Mixture", story: list[Candidate], share: dict[int, float]) -> float:
+def _score(story: list[Candidate], share: dict[int, float]) -> float:
     """Lower bound of the log evidence of a story that shares out the same detections."""
     total = sum(candidate.log_evidence() for candidate in story)
     for number, part in share.items():
