@@ -1,0 +1,160 @@
+"""The shell over in-process stand-ins: start, faults, end; and what it leaves behind."""
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from fieldkit.clock import ScaledClock
+from fieldkit.errors import DeviceError, DeviceTimeout
+from fieldkit.messages import GoTo, Hold, Operator, Waypoint
+from fieldkit.recording.reader import open_recording
+from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.fakes import FakeFleet, FakeReceiver
+from fieldkit.world.rover import Rover
+from mission.replay import replay
+from mission.rigs import Rig, start_places
+from mission.runner import Progress, Runner
+from mission.synthetic import small_mission
+
+
+class Deaf(FakeReceiver):
+    """A receiver whose device breaks as soon as it is listened to."""
+
+    async def readings(self):  # type: ignore[no-untyped-def, override]
+        raise DeviceError("usb 1-2: device not responding")
+        yield
+
+
+def rig_for(mission, receivers=FakeReceiver, rate: float = 20.0) -> Rig:  # type: ignore[no-untyped-def]
+    clock = ScaledClock(rate)
+    fleet = FakeFleet({name: Rover(*place) for name, place in start_places(mission).items()}, clock)
+    return Rig(clock, tuple(receivers(name, clock) for name in mission.kernel.engine.robots), (fleet,))
+
+
+def fly(folder: Path, rig_of=rig_for, duration_s: float = 40.0, act=None) -> tuple[Runner, Rig]:  # type: ignore[no-untyped-def]
+    mission = small_mission(folder, duration_s=duration_s)
+    rig = rig_of(mission)
+
+    async def go(runner: Runner) -> None:
+        if act is None:
+            await runner.run()
+            return
+        async with asyncio.TaskGroup() as group:
+            group.create_task(act(runner, rig))
+            group.create_task(runner.run())
+
+    with RecordingWriter(
+        folder / "mission.mcap", mission_toml=mission.text, antenna_toml=mission.antenna_text
+    ) as recorder:
+        runner = Runner(mission, rig, recorder)
+        asyncio.run(go(runner))
+    return runner, rig
+
+
+def test_a_mission_takes_over_steers_and_ends_with_all_holding(tmp_path: Path) -> None:
+    runner, rig = fly(tmp_path)
+    assert "time is up" in runner.end_reason
+    fleet = rig.links[0]
+    assert isinstance(fleet, FakeFleet)
+    assert set(fleet._mode.values()) == {"hold"}
+    assert fleet.beats >= 30
+    steered = {
+        c.robot for _, _, _, c in open_recording(tmp_path / "mission.mcap").commands() if isinstance(c, GoTo)
+    }
+    assert steered == set(runner.kernel.settings.engine.robots)
+
+
+def test_its_recording_is_whole_and_replays(tmp_path: Path) -> None:
+    async def noise(runner: Runner, rig: Rig) -> None:
+        for k in range(6):
+            await rig.clock.sleep(4.0)
+            for receiver in rig.receivers[: 1 + k % 3]:
+                receiver.hear(-64.0 - k)  # type: ignore[attr-defined]
+
+    runner, _ = fly(tmp_path, act=noise)
+    done = replay(tmp_path / "mission.mcap")
+    assert done.complete
+    assert done.kernel.detections == runner.kernel.detections > 0
+    assert done.kernel.digest() == runner.kernel.digest()
+
+
+def test_a_receiver_that_breaks_does_not_end_the_mission(tmp_path: Path) -> None:
+    runner, _ = fly(tmp_path, rig_of=lambda mission: rig_for(mission, Deaf), duration_s=15.0)
+    assert "time is up" in runner.end_reason
+
+
+def test_the_operators_hold_reaches_every_vehicle(tmp_path: Path) -> None:
+    async def press(runner: Runner, rig: Rig) -> None:
+        await rig.clock.sleep(10.0)
+        runner.put(Operator(rig.clock.now_ns(), "hold"))
+
+    fly(tmp_path, act=press)
+    recording = open_recording(tmp_path / "mission.mcap")
+    commands = [
+        (number, command) for number, _, origin, command in recording.commands() if origin == "safety"
+    ]
+    pressed = next(number for number, _, event in recording.events() if isinstance(event, Operator))
+    assert {c.robot for n, c in commands if n == pressed and isinstance(c, Hold)} == {"r1", "r2", "r3", "r4"}
+    assert not [c for n, c in commands if n > pressed and isinstance(c, GoTo)]
+
+
+def test_silent_vehicles_are_named_before_anything_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mission.runner.READY_TIMEOUT_S", 5.0)
+
+    class Mute(FakeFleet):
+        async def _drive(self) -> None:
+            await asyncio.Event().wait()
+
+    def silent(mission) -> Rig:  # type: ignore[no-untyped-def]
+        clock = ScaledClock(20.0)
+        rovers = {name: Rover(*place) for name, place in start_places(mission).items()}
+        return Rig(clock, (), (Mute(rovers, clock),))
+
+    with pytest.raises(DeviceTimeout, match="no telemetry from r1, r2, r3, r4"):
+        fly(tmp_path, rig_of=silent)
+    assert open_recording(tmp_path / "mission.mcap").complete
+
+
+def test_a_mistake_in_the_kernel_holds_the_vehicles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fleets: list[FakeFleet] = []
+
+    def keep(mission) -> Rig:  # type: ignore[no-untyped-def]
+        rig = rig_for(mission)
+        fleets.append(rig.links[0])  # type: ignore[arg-type]
+        return rig
+
+    from mission.kernel import Kernel
+
+    genuine = Kernel._finished
+
+    def fails(kernel: Kernel, now_ns: int, detections: bool) -> str:
+        if kernel.elapsed_s(now_ns) > 5.0:
+            raise ZeroDivisionError("a mistake")
+        return genuine(kernel, now_ns, detections)
+
+    monkeypatch.setattr(Kernel, "_finished", fails)
+    with pytest.raises(ZeroDivisionError):
+        fly(tmp_path, rig_of=keep)
+    assert set(fleets[0]._mode.values()) == {"hold"}
+    assert open_recording(tmp_path / "mission.mcap").complete
+
+
+def test_progress_says_what_each_robot_does(tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    mission = small_mission(tmp_path, duration_s=15.0)
+    with RecordingWriter(tmp_path / "log.mcap") as recorder:
+        asyncio.run(Runner(mission, rig_for(mission), recorder, seen.append).run())
+    assert seen[-1].doing.keys() == set(mission.kernel.engine.robots)
+    assert any(note.startswith("end:") for progress in seen for note in progress.notes)
+
+
+async def test_the_fake_fleet_refuses_what_a_vehicle_would(tmp_path: Path) -> None:
+    clock = ScaledClock(20.0)
+    async with FakeFleet({"a": Rover(0.0, 0.0)}, clock) as fleet:
+        with pytest.raises(DeviceError, match="take it over"):
+            await fleet.goto("a", Waypoint(1.0, 1.0, 0.3))
+        with pytest.raises(DeviceError, match="no vehicle 'b'"):
+            await fleet.hold("b")

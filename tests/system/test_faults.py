@@ -1,0 +1,50 @@
+"""Faults on the emulated wires of a running mission: the others go on, and the recording says what happened."""
+
+import asyncio
+from pathlib import Path
+
+from fieldkit.messages import GoTo, Hold, ReceiverState, VehicleState
+from fieldkit.recording.reader import open_recording
+from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.sources import TransientSource
+from mission import rigs
+from mission.replay import replay
+from mission.rigs import Rig
+from mission.runner import Runner
+from mission.synthetic import small_mission
+from mission.warm import warm_up
+
+
+def test_an_unplugged_radio_and_a_lost_link_stop_neither_mission_nor_record(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path, duration_s=70.0)
+    warm_up(mission)
+    sources = (TransientSource(5.0, 4.0, 0.0, 0.3),)
+
+    async def go(runner: Runner, rig: Rig) -> None:
+        async def faults() -> None:
+            await rig.clock.sleep(15.0)
+            await asyncio.to_thread(rig.emulator.unplug, "r1")
+            await rig.clock.sleep(15.0)
+            await asyncio.to_thread(rig.emulator.silence_vehicle, "r3")
+
+        async with asyncio.TaskGroup() as group:
+            group.create_task(runner.run())
+            group.create_task(faults())
+
+    path = tmp_path / "mission.mcap"
+    with (
+        rigs.emulated(mission, sources, seed=1, rate=5.0) as rig,
+        RecordingWriter(path, mission_toml=mission.text, antenna_toml=mission.antenna_text) as recorder,
+    ):
+        runner = Runner(mission, rig, recorder)
+        asyncio.run(go(runner, rig))
+    recording = open_recording(path)
+    assert recording.complete
+    events = [event for _, _, event in recording.events()]
+    assert any(isinstance(e, ReceiverState) and e.robot == "r1" and not e.up for e in events)
+    assert any(isinstance(e, VehicleState) and e.robot == "r3" and not e.link_up for e in events)
+    allowed = [(number, c) for number, _, origin, c in recording.commands() if origin == "safety"]
+    held = min(number for number, c in allowed if isinstance(c, Hold) and c.robot == "r3")
+    assert not [c for number, c in allowed if number > held and isinstance(c, GoTo) and c.robot == "r3"]
+    assert {c.robot for number, c in allowed if number > held and isinstance(c, GoTo)} >= {"r1", "r2"}
+    assert replay(path).complete
