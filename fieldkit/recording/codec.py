@@ -12,7 +12,7 @@ import types
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -83,6 +83,19 @@ def _study(kind: Any) -> _Shape:
 _shape: Callable[[Any], _Shape] = cache(_study)
 
 
+def array_scalar(hint: Any) -> type[np.generic] | None:
+    """The scalar type of an `NDArray[...]` hint; None for any other hint.
+
+    `NDArray` is a plain generic alias in some versions of numpy and a `type` alias (PEP 695) in others.
+    """
+    origin, args = get_origin(hint), get_args(hint)
+    if origin is np.ndarray:
+        return cast(type[np.generic], get_args(args[1])[0])
+    if getattr(origin, "__name__", "") == "NDArray":
+        return cast(type[np.generic], args[0])
+    return None
+
+
 def _converter(hint: Any, name: str) -> Callable[[Any], Any] | None:
     """How a JSON value becomes what the field holds; None where JSON's own type is it."""
     origin, args = get_origin(hint), get_args(hint)
@@ -90,10 +103,9 @@ def _converter(hint: Any, name: str) -> Callable[[Any], Any] | None:
         return _float
     if is_dataclass(hint):
         return lambda value: decode(hint, value)  # type: ignore[arg-type]
-    if origin is np.ndarray:
-        dtype = get_args(args[1])[0]
+    if (scalar := array_scalar(hint)) is not None:
         columns = COLUMNS.get(name)
-        return lambda value: _array(value, dtype, columns)
+        return lambda value: _array(value, scalar, columns)
     if origin in (Union, types.UnionType):
         return next(filter(None, (_converter(arg, name) for arg in args)), None)
     if origin is tuple:

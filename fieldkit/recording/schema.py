@@ -27,6 +27,7 @@ from fieldkit.messages import (
     Tick,
     VehicleState,
 )
+from fieldkit.recording.codec import array_scalar
 
 SCHEMA = 1
 PROFILE = "fieldkit"
@@ -131,9 +132,8 @@ def _of(hint: Any) -> dict[str, Any]:
         return {"type": "array", "items": _of(args[0])}
     if origin is dict:
         return {"type": "object", "additionalProperties": _of(args[1])}
-    if origin is np.ndarray:
-        boolean = get_args(args[1])[0] is np.bool_
-        return {"type": "array", "items": {} if not boolean else {"type": "boolean"}}
+    if (scalar := array_scalar(hint)) is not None:
+        return {"type": "array", "items": {"type": "boolean"} if scalar is np.bool_ else {}}
     return {
         bool: {"type": "boolean"},
         int: {"type": "integer"},
