@@ -1,11 +1,22 @@
-"""How fast the XBee driver takes readings: an emulated module in a process of its own, on a pty or TCP."""
+"""How fast the XBee driver takes readings, against the stock library: `fieldkit bench xbee`.
+
+An emulated module in a process of its own, on a pty or TCP. By hand, at another rate, JSON on standard output:
+
+    python -m drivers.benchmark --rate-hz 4000 --seconds 60
+"""
 
 import asyncio
+import json
+import logging
 import multiprocessing
 import statistics
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from drivers.emulators.wires import PluggedModule, make_wire
 from drivers.emulators.xbee import Module
@@ -16,6 +27,22 @@ from fieldkit.messages import RssReading
 from fieldkit.ports import Surroundings
 
 SENDER = 0x0013A20041000000
+SETTLE_S = 2.0
+"""Wall time a reader is given for what is still in the pipe."""
+
+
+def xbee(rate_hz: float = 2000.0, duration_s: float = 10.0, senders: int = 1000) -> dict[str, Any]:
+    """The driver and the stock library on the same stream, one after the other."""
+    ours = xbee_throughput(rate_hz, duration_s, senders)
+    stock = stock_throughput(rate_hz, duration_s, senders)
+    return {
+        "offered_per_s": rate_hz,
+        "duration_s": duration_s,
+        "senders": senders,
+        "fieldkit": ours,
+        "stock_digi_xbee": stock,
+        "times_stock": round(ours["readings_per_s"] / max(stock["readings_per_s"], 1e-9), 1),
+    }
 
 
 def xbee_throughput(rate_hz: float = 2000.0, duration_s: float = 10.0, senders: int = 1000) -> dict[str, Any]:
@@ -24,15 +51,54 @@ def xbee_throughput(rate_hz: float = 2000.0, duration_s: float = 10.0, senders: 
     Gives sent, received, lost, in_order, readings_per_s, and stamp_delay_ms (p50, p99): reception stamp minus
     the moment the frame was put on the wire, both on this machine's clock.
     """
+    with _emulated(rate_hz, duration_s, senders) as connection:
+        return asyncio.run(_measure(connection, connection.recv()))
+
+
+def stock_throughput(rate_hz: float, duration_s: float, senders: int) -> dict[str, Any]:
+    """The same stream, taken by digi-xbee as it comes: sent, received, lost, in_order, readings_per_s."""
+    from digi.xbee.devices import Raw802Device
+
+    logging.getLogger("digi.xbee.reader").setLevel(logging.CRITICAL)  # it logs each frame it loses
+    received: list[int] = []
+    with _emulated(rate_hz, duration_s, senders) as connection:
+        device = Raw802Device(connection.recv(), 115200)
+        device.open()
+        try:
+            device.add_packet_received_callback(
+                lambda packet: received.append(int.from_bytes(packet.rf_data[:4], "big"))
+            )
+            connection.send("go")
+            began_s = wall_s()
+            sent_ns, refused = connection.recv()
+            took_s = wall_s() - began_s
+            time.sleep(SETTLE_S)
+        finally:
+            device.close()
+    return {
+        "sent": len(sent_ns),
+        "received": len(received),
+        "lost": len(sent_ns) - len(received),
+        "refused_by_pty": refused,
+        "in_order": received == sorted(received),
+        "readings_per_s": round(len(received) / (took_s + SETTLE_S), 1),
+    }
+
+
+@contextmanager
+def _emulated(rate_hz: float, duration_s: float, senders: int) -> Iterator[Connection]:
+    """A module that sends once told to go. First it says its port, at the end what it sent."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     child = context.Process(target=_emulate, args=(theirs, rate_hz, duration_s, senders), daemon=True)
     child.start()
     try:
-        return asyncio.run(_measure(ours, ours.recv()))
+        yield ours
     finally:
         ours.close()
         child.join(5.0)
+        if child.is_alive():
+            child.terminate()
 
 
 async def _measure(connection: Connection, port: str) -> dict[str, Any]:
@@ -97,3 +163,18 @@ async def _send(connection: Connection, rate_hz: float, duration_s: float, sende
         await asyncio.sleep(0.0005)
     connection.send((sent_ns, radio.lost_writes))
     await asyncio.sleep(3.0)
+
+
+def main(
+    rate_hz: Annotated[float, typer.Option(min=1.0, help="Frames per second offered.")] = 2000.0,
+    seconds: Annotated[float, typer.Option(min=0.1, help="For how long.")] = 10.0,
+    senders: Annotated[int, typer.Option(min=1, help="Distinct 64-bit senders.")] = 1000,
+    stock: Annotated[bool, typer.Option(help="Measure stock digi-xbee too.")] = True,
+) -> None:
+    """Measure the XBee driver. Example: python -m drivers.benchmark --rate-hz 4000 --seconds 60"""
+    result = xbee(rate_hz, seconds, senders) if stock else xbee_throughput(rate_hz, seconds, senders)
+    typer.echo(json.dumps(result, indent=2))
+
+
+if __name__ == "__main__":
+    typer.run(main)
