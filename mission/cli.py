@@ -243,6 +243,44 @@ def bench(
     _print_json(results)
 
 
+def study(
+    name: Annotated[str, typer.Argument(help="Which study: trust, calibration, ...")],
+    trials: Annotated[int, typer.Option(min=1, help="Trials of each scenario.")] = 100,
+    seed: Annotated[int, typer.Option(help="Of the first trial; the others count up.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="Folder for result.json and the plot.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run many simulated trials and measure: time, false finds, coverage.
+
+    Example: fieldkit study trust --trials 20 --json
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from fieldkit import plugins
+    from fieldkit.files import write_whole
+
+    run_study = plugins.load("fieldkit.studies", name)
+    columns = (TextColumn("{task.description}"), BarColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("starting", total=1.0)
+        result = run_study(
+            trials, seed, lambda share, text: bar.update(task, completed=share, description=text)
+        )
+    if out is not None:
+        write_whole(out / "result.json", json.dumps(result, indent=2, default=str))
+        if "times_s" in result:
+            from mission.study.plot import plot_times
+
+            plot_times(result, out / "times.png")
+    if as_json:
+        _print_json({key: value for key, value in result.items() if key != "times_s"})
+        return
+    from mission.console import study_table
+
+    study_table(result)
+
+
 def _source(source: Any) -> dict[str, Any]:
     """A source estimate as plain numbers."""
     return {

@@ -173,5 +173,32 @@ def sources_table(sources: list[dict[str, Any]]) -> None:
     Console().print(table)
 
 
+def study_table(result: dict[str, Any]) -> None:
+    """A study's scenarios, one a row."""
+    console = Console()
+    scenarios = result.get("scenarios")
+    if not isinstance(scenarios, dict) or not scenarios:
+        console.print_json(data=result)
+        return
+    first = next(iter(scenarios.values()))
+    table = Table(
+        title=f"{result.get('study', '')}: {result.get('trials', '')} trials each", title_justify="left"
+    )
+    table.add_column("scenario")
+    for column in first:
+        table.add_column(column.replace("_", " "), justify="right")
+    for name, row in scenarios.items():
+        shown = [
+            f"{v:.3g}"
+            if isinstance(v, float) and abs(v) < 10
+            else f"{v:.0f}"
+            if isinstance(v, float)
+            else str(v)
+            for v in row.values()
+        ]
+        table.add_row(name, *shown)
+    console.print(table)
+
+
 def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"

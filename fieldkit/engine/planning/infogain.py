@@ -21,15 +21,17 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.messages import FloatArray, Plan
 
-HORIZON_PERIODS = 2.0
+HORIZON_PERIODS = 1.0
 GROUND_PATHS = 28
 PATHS_PER_CANDIDATE = 12
 MAX_CANDIDATES = 6
 SAMPLES = 16
 STEP_S = 1.5
-NAT_VALUE = 0.12
+RESOLVE_VALUE = 1.0
 RECEPTION_VALUE = 0.2
 GROUND_VALUE = 1.0
+TARGET_CELLS = 0.45
+"""Standard deviation, in cells, at which a place is certain to within one cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,13 +133,14 @@ class InfoGainPlanner:
         cov = candidate.cov_m2 + np.eye(2) * (0.1 * self.grid.cell_m) ** 2
         precision = np.linalg.inv(cov)
         precision = precision + scale * np.array([[gained[1], gained[2]], [gained[2], gained[3]]])
-        spread = 1.0 / np.linalg.eigvalsh(precision)
-        target = (0.45 * self.grid.cell_m) ** 2
-        nats = 0.5 * float(np.log(np.maximum(spread / target, 1.0)).sum())
-        missing = max(0.0, self.settings.min_receptions - candidate.receptions)
-        received = missing * (1.0 - math.exp(-rate * gained[0] / missing)) if missing > 0.0 else 0.0
+        # Receptions still needed grow with the precision still missing: so counted, a candidate that is nearly
+        # resolved is worth finishing before driving to the next.
+        target = (TARGET_CELLS * self.grid.cell_m) ** 2
+        done = float(np.minimum(np.linalg.eigvalsh(precision) * target, 1.0).mean())
+        missing = max(1.0, self.settings.min_receptions - candidate.receptions)
+        received = 1.0 - math.exp(-rate * gained[0] / missing)
         worth = 0.3 if candidate.state == "doubtful" else 1.0
-        return worth * (RECEPTION_VALUE * received - NAT_VALUE * nats)
+        return worth * (RESOLVE_VALUE * done + RECEPTION_VALUE * received)
 
     def _clear(self, one: FloatArray, other: FloatArray) -> bool:
         """Whether two tracks keep the separation at every step after the first few, when they may yet part."""
