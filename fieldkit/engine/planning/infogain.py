@@ -21,14 +21,14 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.messages import FloatArray, Plan
 
-HORIZON_PERIODS = 1.0
+HORIZON_PERIODS = 1.5
 GROUND_PATHS = 28
 PATHS_PER_CANDIDATE = 12
 MAX_CANDIDATES = 6
 SAMPLES = 16
 STEP_S = 1.5
-RESOLVE_VALUE = 1.0
-RECEPTION_VALUE = 0.2
+RESOLVE_VALUE = 2.0
+RECEPTION_VALUE = 0.4
 GROUND_VALUE = 1.0
 TARGET_CELLS = 0.45
 """Standard deviation, in cells, at which a place is certain to within one cell."""
