@@ -49,9 +49,10 @@ class SerialLink:
     def __init__(self, url: str, baud: int) -> None:
         self._port: Any = serial.serial_for_url(url, do_not_open=True, baudrate=baud)
         self._port.timeout = READ_TIMEOUT_S
-        self._port.write_timeout = 2.0
-        if os.name == "posix" and "://" not in url:
-            self._port.exclusive = True
+        if "://" not in url:
+            self._port.write_timeout = 2.0  # pyserial's rfc2217:// refuses to open with one
+            if os.name == "posix":
+                self._port.exclusive = True
         self._port.open()
         self.arrived_s = time.monotonic()
         try:

@@ -39,8 +39,14 @@ class NrfDongle:
     """The channel on which transmissions are made; what it listens on is set by command."""
     signed_time: bool = True
     serial_number: int = 1
+    busy_until_s: float = 0.0
     capturing: bool = field(default=False, init=False)
     listening_on: int = field(default=11, init=False)
+
+    def reboot(self) -> bytes:
+        """Deaf until told again to capture; the shell says its prompt."""
+        self.capturing, self.listening_on, self._line, self._echo = False, 11, b"", True
+        return b"*** Booting Zephyr OS ***\r\n" + PROMPT
 
     def __post_init__(self) -> None:
         self._line = b""
@@ -86,8 +92,14 @@ class TiDongle:
     channel: int = 15
     with_checksum: bool = False
     serial_number: int = 2
+    busy_until_s: float = 0.0
     capturing: bool = field(default=False, init=False)
     listening_on: int = field(default=0, init=False)
+
+    def reboot(self) -> bytes:
+        """Deaf until told again to capture, and silent about it."""
+        self.capturing, self.listening_on, self._buffer = False, 0, b""
+        return b""
 
     def __post_init__(self) -> None:
         self._buffer = b""

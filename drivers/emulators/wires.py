@@ -9,17 +9,22 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
+from drivers.emulators.faults import Rewrite
+
 REPLY_S = (0.003, 0.005)
 """How long a device takes to answer, wall time. Faster replies break stock digi-xbee: it misses them."""
-
-Rewrite = Callable[[bytes], bytes]
-"""A fault on the wire: what the device wrote in, what arrives out."""
 
 
 class Device(Protocol):
     """A state machine behind a wire."""
 
     serial_number: int
+    busy_until_s: float
+    """Steady wall time until which it answers nothing and hears nothing: an energy scan."""
+
+    def reboot(self) -> bytes:
+        """Power off and on: what it says on its port as it starts."""
+        ...
 
     def receive(self, data: bytes, now_s: float) -> list[bytes]:
         """Bytes from the host; the answers, in order."""
@@ -158,7 +163,10 @@ class PluggedModule(Generic[DeviceType]):
         self.wire = wire
         self.rewrite: Rewrite | None = None
         """Applied to the next bytes the device writes, once."""
+        self.always: Rewrite | None = None
+        """Applied to all bytes, in both directions."""
         self.lost_writes = 0
+        self._held: list[bytes] | None = None
         self._delay = random.Random(module.serial_number)
         self._free_at_s = 0.0
 
@@ -168,19 +176,51 @@ class PluggedModule(Generic[DeviceType]):
     def unplug(self) -> None:
         self.wire.close()
 
+    async def move(self, wire: Wire) -> None:
+        """Plug it in elsewhere, under another name."""
+        self.unplug()
+        self.wire = wire
+        await self.plug()
+
+    def reboot(self) -> None:
+        """The device starts anew; its port stays, as behind a USB adapter."""
+        banner = self.module.reboot()
+        if banner:
+            self.write(banner)
+
+    def pause(self) -> None:
+        """Nothing arrives until `resume`."""
+        self._held = []
+
+    def resume(self) -> None:
+        """Everything held back arrives at once."""
+        held, self._held = self._held or [], None
+        for data in held:
+            self.write(data)
+
     def _from_host(self, data: bytes) -> None:
         now_s = time.monotonic()
+        if self.always is not None:
+            data = self.always(data)
         for reply in self.module.receive(data, now_s):
-            self._free_at_s = max(now_s, self._free_at_s) + self._delay.uniform(*REPLY_S)
+            free_s = max(now_s, self._free_at_s, self.module.busy_until_s)
+            self._free_at_s = free_s + self._delay.uniform(*REPLY_S)
             asyncio.get_running_loop().call_later(self._free_at_s - now_s, self.write, reply)
 
     def hear(self, rss_dbm: float, sender: int, payload: bytes, *, short_address: bool = False) -> bool:
         """A packet on the air; True if it went out to the host."""
+        if time.monotonic() < self.module.busy_until_s:
+            return False
         data = self.module.hear(rss_dbm, sender, payload, short_address=short_address)
         return data is not None and self.write(data)
 
     def write(self, data: bytes) -> bool:
         """Put bytes on the wire, through the pending fault if there is one."""
+        if self._held is not None:
+            self._held.append(data)
+            return True
+        if self.always is not None:
+            data = self.always(data)
         if self.rewrite is not None:
             data, self.rewrite = self.rewrite(data), None
         sent = self.wire.write(data)

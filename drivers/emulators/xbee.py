@@ -2,7 +2,7 @@
 
 Written against Digi 90000982 (S1), 90001500 (S2C) and 90002273 (XBee 3); the golden bytes in the tests are
 the manuals'. Local AT commands (0x08, 0x09), text command mode (`+++`) and reception are answered as the
-module does; anything it would transmit is only counted.
+module does; anything it would transmit is only counted. An energy scan (ED) makes it deaf and late to answer.
 """
 
 from collections.abc import Iterator
@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from drivers.xbee.frames import ESCAPE, START, Deframer, frame
 
+NOISE_DBM = -95.0
 OK, ERROR, INVALID_COMMAND, INVALID_PARAMETER = 0, 1, 2, 3
 
 
@@ -51,6 +52,9 @@ class Module:
     """Overrides of the settings below, by AT name."""
     dead: bool = False
     """Answers nothing, as without power."""
+    energy_dbm: dict[int, float] = field(default_factory=dict)
+    """Channel to the energy a scan finds there; elsewhere `NOISE_DBM`."""
+    busy_until_s: float = 0.0
 
     def __post_init__(self) -> None:
         listening = {
@@ -67,12 +71,21 @@ class Module:
         self.values = listening | self.settings
         self.transmitted = 0
         """Frames the host asked to send over the air: a listening driver's must stay 0."""
+        self.asked: list[str] = []
+        """AT commands from the host, in order."""
         self.bytes_in = 0
         """Bytes the host has written."""
         self._deframer = Deframer()
         self._text = b""
         self._text_until_s = -1.0
         self._last_byte_s = -1e9
+
+    def reboot(self) -> bytes:
+        """Settings stay; the last strength is forgotten. Modem status 0: hardware reset."""
+        self._deframer = Deframer()
+        self._text, self._text_until_s, self.busy_until_s = b"", -1.0, 0.0
+        self.values["DB"] = 0
+        return frame(b"\x8a\x00", escaped=self.values["AP"] == 2) if self.values["AP"] else b""
 
     # The host's side
 
@@ -92,7 +105,7 @@ class Module:
             return []
         replies = []
         for _, received in self._deframer.feed(data, 0, escaped=self._reads_escaped(data)):
-            if (reply := self._answer(received[3:-1])) is not None:
+            if (reply := self._answer(received[3:-1], now_s)) is not None:
                 replies.append(frame(reply, escaped=self.values["AP"] == 2))
         return replies
 
@@ -100,16 +113,28 @@ class Module:
         """digi-xbee sends its first frame unescaped whatever the mode; that frame has nothing to escape."""
         return self.values["AP"] == 2 and (ESCAPE in data or data.count(START) <= 1)
 
-    def _answer(self, data: bytes) -> bytes | None:
+    def _answer(self, data: bytes, now_s: float) -> bytes | None:
         kind = data[0]
         if kind in (0x08, 0x09) and len(data) >= 4:
             name = data[2:4].decode("ascii", "replace").upper()
-            status, value = self._at(name, data[4:])
+            self.asked.append(name)
+            status, value = self._scan(data[4:], now_s) if name == "ED" else self._at(name, data[4:])
             return bytes([0x88, data[1]]) + data[2:4] + bytes([status]) + value
         if kind in (0x00, 0x01, 0x10, 0x11, 0x17) and len(data) >= 2:
             self.transmitted += 1
             return bytes([0x8B if kind in (0x10, 0x11) else 0x89, data[1], 0]) if kind != 0x17 else None
         return None
+
+    def _scan(self, parameter: bytes, now_s: float) -> tuple[int, bytes]:
+        """ED: busy for as long as the parameter says; then each channel's energy, a byte each."""
+        value = int.from_bytes(parameter, "big")
+        if self.profile.legacy_only and value > 6:
+            return INVALID_PARAMETER, b""
+        lasts_s = 16 * 0.01536 * 2**value if self.profile.legacy_only else value / 1000
+        self.busy_until_s = now_s + lasts_s
+        first, count = (12, 12) if self.profile.name == "s1pro" else (11, 16)
+        levels = [self.energy_dbm.get(first + n, NOISE_DBM) for n in range(count)]
+        return OK, bytes(round(-level) for level in levels)
 
     def _at(self, name: str, parameter: bytes) -> tuple[int, bytes]:
         high, low = self.serial_number >> 32, self.serial_number & 0xFFFFFFFF
@@ -167,6 +192,14 @@ class Module:
         if self.values["AP"] == 0:
             return payload
         return frame(self._reception(rssi, sender, payload, short_address), escaped=self.values["AP"] == 2)
+
+    def sample(self, rss_dbm: float, sender: int, digital: int, *, short_address: bool = False) -> bytes:
+        """An IO sample of four digital lines on the air (frames 0x82, 0x83); legacy output only."""
+        rssi = round(-min(rss_dbm, self.profile.saturation_dbm))
+        self.values["DB"] = rssi
+        head = b"\x83" + sender.to_bytes(2, "big") if short_address else b"\x82" + sender.to_bytes(8, "big")
+        body = bytes([rssi, 0x00, 1]) + (0x000F).to_bytes(2, "big") + (digital & 0x0F).to_bytes(2, "big")
+        return frame(head + body, escaped=self.values["AP"] == 2)
 
     def _reception(self, rssi: int, sender: int, payload: bytes, short_address: bool) -> bytes:
         broadcast = 0x02

@@ -19,13 +19,16 @@ MAX_LINE = 600
 class NrfText:
     """Finds captured frames between prompts, echoes and half lines."""
 
+    firmware = "Nordic's 802.15.4 sniffer"
+
     def __init__(self) -> None:
-        self.bad_frames = 0
+        self.bad_frames = self.recognised = 0
         self._rest = b""
         self._time = Unwrap32()
 
     def start(self, channel: int) -> list[bytes]:
-        return [b"sleep\r\n", b"shell echo off\r\n", *self.tune(channel)]
+        # With echo on the shell repeats the next command, which tells it from anything else.
+        return [b"shell echo on\r\n", b"sleep\r\n", b"shell echo off\r\n", *self.tune(channel)]
 
     def tune(self, channel: int) -> list[bytes]:
         return [f"channel {channel}\r\n".encode(), b"receive\r\n"]
@@ -34,16 +37,23 @@ class NrfText:
         return b"sleep\r\n"
 
     def feed(self, data: bytes) -> Iterator[Captured]:
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        text = self._rest + data
+        self.recognised += b"sleep" in text or b"~$" in text
+        *lines, self._rest = text.split(b"\n")
         if len(self._rest) > MAX_LINE:
             self.bad_frames += 1
             self._rest = b""
         for line in lines:
             if b"received:" in line:
                 if (captured := self._captured(line)) is not None:
+                    self.recognised += 1
                     yield captured
                 else:
                     self.bad_frames += 1
+
+    def idle(self) -> Iterator[Captured]:
+        """Nothing: a line's end ends whatever went before."""
+        yield from ()
 
     def _captured(self, line: bytes) -> Captured | None:
         """The last reception on a line: an interrupted one may stand before it."""

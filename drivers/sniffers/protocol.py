@@ -23,10 +23,14 @@ class Captured:
 class SnifferProtocol(Protocol):
     """One firmware's language. Keeps the state of the byte stream; no clock, no wire."""
 
+    firmware: str
+    """What it is called, in errors."""
     bad_frames: int
+    recognised: int
+    """Things heard that only this firmware says: proof of life."""
 
     def start(self, channel: int) -> list[bytes]:
-        """Commands that make it listen on a channel, each sent on its own."""
+        """Commands that make it listen on a channel, each sent on its own. It answers some of them."""
         ...
 
     def tune(self, channel: int) -> list[bytes]:
@@ -39,6 +43,10 @@ class SnifferProtocol(Protocol):
 
     def feed(self, data: bytes) -> Iterator[Captured]:
         """Frames completed by `data`."""
+        ...
+
+    def idle(self) -> Iterator[Captured]:
+        """Frames hidden behind a false start, once the line has gone quiet."""
         ...
 
 

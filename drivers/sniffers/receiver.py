@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.keeper import KeptReceiver
-from drivers.links import ByteLink, arrival_ns, open_link
+from drivers.links import ByteLink, UsbIdentity, arrival_ns, open_link, port_of, usb_identity
 from drivers.options import checked
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.nrf import NrfText
 from drivers.sniffers.protocol import CHANNELS, Captured, SnifferProtocol
 from drivers.sniffers.ti import TiBinary
 from drivers.timebase import TimeBase
-from fieldkit.errors import ConfigError, DeviceError
+from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import Surroundings
 
@@ -26,6 +26,13 @@ logger = logging.getLogger(__name__)
 
 COMMAND_GAP_S = 0.02
 """Wall time between commands: the firmwares read them one at a time."""
+ANSWER_S = 2.0
+"""Wall time within which a dongle must answer something when it is started."""
+ASK_AGAIN_S = 30.0
+"""Wall time of silence after which it is started again: it may have restarted and forgotten its task.
+
+Starting takes 0.1 s, in which it hears nothing.
+"""
 CLOCK_JUMP_NS = 5_000_000_000
 """The dongle's clock and ours may not part further than this between two frames: else it has restarted."""
 
@@ -92,18 +99,28 @@ class SnifferReceiver(KeptReceiver):
         self._link: ByteLink | None = None
         self._thread: threading.Thread | None = None
         self._running = threading.Event()
+        self._port = options.port
+        self._usb: UsbIdentity | None = None
 
     def _open_device(self, first: bool) -> str:
-        link = open_link(self._options.port, self._options.baud, self._name)
+        # Plugged in again, a dongle may get another name; only that very dongle is asked anything.
+        if not first and self._usb is not None:
+            self._port = port_of(self._usb) or self._options.port
+        link = open_link(self._port, self._options.baud, self._name)
         self._protocol, self._time = self._make_protocol(), TimeBase()
         self._last_ns: tuple[int, int] | None = None
         self._turn, self._channel = 0, self._order[0]
         try:
             self._send(link, self._protocol.start(self._order[0]))
+            self._expect_answer(link)
+        except DeviceError:
+            link.close()
+            raise
         except OSError as error:
             link.close()
-            raise DeviceError(f"{self._name}: {self._options.port} takes no commands: {error}") from error
+            raise DeviceError(f"{self._name}: {self._port} takes no commands: {error}") from error
         self._link = link
+        self._usb = self._usb or usb_identity(self._port)
         self._running.set()
         self._thread = threading.Thread(target=self._read, args=(link,), name=self._name, daemon=True)
         channels = ", ".join(str(channel) for channel in self._order)
@@ -131,13 +148,37 @@ class SnifferReceiver(KeptReceiver):
             link.write(each)
             time.sleep(COMMAND_GAP_S)
 
+    def _expect_answer(self, link: ByteLink) -> None:
+        """Wait for a sign of this firmware. Raises `DeviceTimeout` telling another firmware from none."""
+        deadline_s, got = time.monotonic() + ANSWER_S, False
+        while not self._protocol.recognised and time.monotonic() < deadline_s and not self._closed:
+            data = link.read()
+            got = got or bool(data)
+            for _ in self._protocol.feed(data):
+                pass  # captured before anybody was told that it listens
+        if self._protocol.recognised:
+            return
+        where = f"{self._port} at {self._options.baud} baud"
+        firmware = self._protocol.firmware
+        raise DeviceTimeout(
+            f"{self._name}: what answers on {where} is not {firmware} firmware; write that firmware to it, "
+            "correct `baud`, or choose the driver for what it is"
+            if got
+            else f"{self._name}: nothing answers on {where}; is this the dongle with {firmware} firmware, "
+            "and is `baud` right?"
+        )
+
     # What follows runs in the reader thread.
 
     def _read(self, link: ByteLink) -> None:
         since_s = self._clock.elapsed_s()
+        self._heard_s, self._asked = time.monotonic(), False
         while self._running.is_set():
             try:
                 self._take_all(link)
+                if not self._alive(link):
+                    self._on_lost("the dongle does not answer any more")
+                    return
                 if len(self._order) > 1 and self._clock.elapsed_s() - since_s > self._options.dwell_s:
                     since_s = self._clock.elapsed_s()
                     self._hop(link)
@@ -152,8 +193,18 @@ class SnifferReceiver(KeptReceiver):
     def _take_all(self, link: ByteLink) -> None:
         data = link.read()
         t_ns = arrival_ns(link, self._clock)
-        for captured in self._protocol.feed(data):
+        if data:
+            self._heard_s, self._asked = time.monotonic(), False
+        for captured in self._protocol.feed(data) if data else self._protocol.idle():
             self._take(captured, t_ns)
+
+    def _alive(self, link: ByteLink) -> bool:
+        """Ask after a long silence; False where even that is not answered."""
+        silent_s = time.monotonic() - self._heard_s
+        if silent_s > ASK_AGAIN_S and not self._asked:
+            self._asked = True
+            self._send(link, self._protocol.start(self._channel))
+        return silent_s < ASK_AGAIN_S + ANSWER_S
 
     def _hop(self, link: ByteLink) -> None:
         """Stop, take what was still captured on the old channel, and go on on the next."""

@@ -34,8 +34,10 @@ def frequency(channel: int) -> bytes:
 class TiBinary:
     """Finds captured frames by length, and resynchronises on the next start marker that makes sense."""
 
+    firmware = "TI's packet sniffer"
+
     def __init__(self) -> None:
-        self.bad_frames = 0
+        self.bad_frames = self.recognised = 0
         self._buffer = bytearray()
 
     def start(self, channel: int) -> list[bytes]:
@@ -50,18 +52,26 @@ class TiBinary:
 
     def feed(self, data: bytes) -> Iterator[Captured]:
         self._buffer += data
+        yield from self._packets(waiting=True)
+
+    def idle(self) -> Iterator[Captured]:
+        if self._buffer:
+            yield from self._packets(waiting=False)
+
+    def _packets(self, *, waiting: bool) -> Iterator[Captured]:
         while (begin := self._buffer.find(START)) >= 0:
             del self._buffer[:begin]
             size = self._size()
-            if size is None:
+            if size is None and waiting:
                 return
-            if size == 0:
+            if not size:
                 self.bad_frames += 1
                 del self._buffer[:2]
                 continue
             info, length = self._buffer[2], int.from_bytes(self._buffer[3:5], "little")
             payload = bytes(self._buffer[5 : 5 + length])
             del self._buffer[:size]
+            self.recognised += 1
             if info == DATA and (captured := self._captured(payload)) is not None:
                 yield captured
         # Half a start marker may be all there is.

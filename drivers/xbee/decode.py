@@ -12,7 +12,7 @@ from digi.xbee.exception import XBeeException
 from digi.xbee.models.mode import OperatingMode
 from digi.xbee.packets.raw import RX16IOPacket, RX16Packet, RX64IOPacket, RX64Packet
 
-Via = Literal["rx64", "rx16", "io"]
+Via = Literal["rx64", "rx16", "io", "db"]
 
 _CLASSES: dict[int, tuple[Any, Via]] = {
     0x80: (RX64Packet, "rx64"),
@@ -31,8 +31,39 @@ class Heard:
 
     rss_dbm: float
     via: Via
-    frame_id: str
-    """Sender's address and a checksum of the payload: the same packet has the same id at every robot."""
+    frame_id: str | None
+    """Sender's address and a checksum of the payload: the same packet has the same id at every robot.
+
+    None where the strength is not surely this sender's."""
+
+
+@dataclass(frozen=True, slots=True)
+class DbAnswer:
+    """The module's word on its last packet's strength, None where it has none, to the question `number`."""
+
+    number: int
+    rss_dbm: float | None
+
+
+def name_of(frame: bytes) -> str | None:
+    """Sender and payload checksum of a reception without strength (0x90, 0x91, 0x92); None if it is too short.
+
+    0x90 and 0x92: type, 8 and 2 bytes of address, options, data. 0x91 has six more bytes before the options.
+    """
+    head = 20 if frame[3] == 0x91 else 14
+    if len(frame) < 3 + head:
+        return None
+    long, short = frame[4:12], frame[12:14]
+    address = long if long != b"\xff" * 8 else short
+    return f"{address.hex().upper()}/{zlib.crc32(frame[head + 1 : -1]):08x}"
+
+
+def db_answer(frame: bytes) -> DbAnswer | None:
+    """The answer to ATDB: 88, number, 'DB', status, strength as a positive number of -dBm."""
+    if len(frame) < 9 or frame[3] != 0x88:
+        return None
+    value = int.from_bytes(frame[8:-1], "big")
+    return DbAnswer(frame[4], rss_dbm_of(value) if frame[7] == 0 else None)
 
 
 def rss_dbm_of(rssi: int) -> float | None:

@@ -15,20 +15,26 @@ def why_silent(link: ByteLink, port: str, baud: int) -> str:
     time.sleep(GUARD_S)
     drain(link)
     link.write(b"+++")
-    if b"OK\r" not in read_until(link, b"OK\r", REPLY_S):
+    answer = read_until(link, b"OK\r", REPLY_S)
+    if b"OK\r" not in answer and answer:
+        return (
+            f"what answers on {port} at {baud} baud makes no sense: is `baud` what the module uses "
+            "(BD; 9600 from the factory), and is it an XBee?"
+        )
+    if b"OK\r" not in answer:
         return (
             f"nothing answers on {port} at {baud} baud. Is the radio powered and is this its port? "
             "Is `baud` what the module uses (BD; 9600 from the factory)?"
         )
     link.write(b"ATAP\r")
-    answer = read_until(link, b"\r", 1.0).strip(b"\r\nOK ")
+    api = read_until(link, b"\r", 1.0).strip(b"\r\nOK ")
     link.write(b"ATCN\r")
-    if answer == b"0":
+    if api == b"0":
         return (
             f"the XBee on {port} is in transparent mode (AP=0): it passes on data, not signal strength. "
             "Set AP=2 (API, escaped) with XCTU and write it (WR)"
         )
-    mode = answer.decode("ascii", "replace")
+    mode = api.decode("ascii", "replace")
     return (
         f"the module on {port} answers in command mode (AP={mode}) but not in API mode; power it off and on"
     )

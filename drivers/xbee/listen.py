@@ -20,7 +20,9 @@ from digi.xbee.comm_interface import XBeeCommunicationInterface
 from digi.xbee.devices import XBeeDevice
 from digi.xbee.exception import CommunicationException, TimeoutException
 from digi.xbee.models.mode import OperatingMode
+from digi.xbee.models.protocol import Role
 from digi.xbee.packets.base import XBeeAPIPacket
+from digi.xbee.packets.common import ATCommPacket
 from digi.xbee.reader import PacketListener
 
 from drivers.links import ByteLink, arrival_ns
@@ -30,6 +32,8 @@ from fieldkit.clock import Clock
 logger = logging.getLogger(__name__)
 
 AT_RESPONSE = 0x88
+DB = b"DB"
+"""Asked without waiting, so its answer is no reply for the library."""
 REPLY_TIMEOUT_S = 1.0
 """A module answers an AT command in milliseconds; at 9600 baud the reply itself takes 30 ms."""
 
@@ -97,7 +101,7 @@ class FrameInterface(XBeeCommunicationInterface):
             self._deframer.feed(data, t_ns, escaped=escaped) if data else self._deframer.idle(escaped=escaped)
         )
         for frame_t_ns, frame in feed:
-            if frame[3] != AT_RESPONSE:
+            if frame[3] != AT_RESPONSE or frame[5:7] == DB:
                 self._on_frame(frame_t_ns, frame)
             elif len(frame) >= 9 and frame[5:7].isalnum():  # the library dies of a command that is not text
                 self._replies.append(frame)
@@ -149,6 +153,10 @@ class ListenOnly(XBeeDevice):
     def _init_network(self) -> None:
         """No network model: with one, the library queries unknown senders over the air."""
 
+    def _determine_role(self) -> Role:
+        """Not asked: a ZigBee module that refuses the question is otherwise set to AO=3 and made to transmit."""
+        return Role.UNKNOWN
+
     def get_xbee_device_callbacks(self) -> _AtOnce:
         return _AtOnce([self._take])
 
@@ -176,6 +184,16 @@ class ListenOnly(XBeeDevice):
         finally:
             with self._answered:
                 self._waiting.pop(packet_to_send.frame_id, None)
+
+    def ask_db(self, number: int) -> None:
+        """Ask for the last packet's strength and do not wait: the answer comes as a frame. Transmits nothing."""
+        self._packet_sender.send_packet(ATCommPacket(number, DB.decode()))
+
+    def scan_energy(self, parameter: bytes, timeout_s: float) -> bytes:
+        """The answer to ED, when the scan is over. Transmits nothing. Raises the library's errors."""
+        packet = ATCommPacket(self.get_next_frame_id(), "ED", parameter=bytearray(parameter))
+        reply = self._send_packet_sync_and_get_response(packet, timeout_s)
+        return bytes(reply.command_value or b"")
 
     def _determine_operating_mode(self) -> OperatingMode:
         """API mode 1 or 2 as the module says; UNKNOWN if silent. Asked twice: the first may meet noise."""

@@ -37,6 +37,15 @@ class ModuleSettings:
         return self.values.get("CH")
 
     @property
+    def is_s1(self) -> bool:
+        return self.hardware in _S1
+
+    @property
+    def is_mesh(self) -> bool:
+        """Packets may come over relays, whose strength is then what DB says."""
+        return self.protocol != XBeeProtocol.RAW_802_15_4
+
+    @property
     def saturation_dbm(self) -> float:
         return SATURATION_PRO_DBM if self.hardware == S1_PRO else SATURATION_DBM
 
@@ -71,13 +80,14 @@ def why_deaf(settings: ModuleSettings) -> str:
     if settings.protocol != XBeeProtocol.RAW_802_15_4:
         return (
             f"runs {settings.protocol.description} firmware, whose receive frames carry no RSSI; "
-            "write 802.15.4 firmware to it with XCTU (S2C: product family XB24C, function set 802.15.4 TH)"
+            "write 802.15.4 firmware to it with XCTU (S2C: product family XB24C, function set 802.15.4 TH), "
+            "or give the receiver `ask_db = true` and make do with the last hop's strength"
         )
     output = settings.values["AO"]
     if settings.hardware not in _S1 and output != 2:
         return (
             f"has AO={output}: its receive frames (0x9{'0' if not output else '1'}) carry no RSSI; "
-            "set AO=2 (legacy frames) with XCTU and write it (WR)"
+            "set AO=2 (legacy frames) with XCTU and write it (WR), or give the receiver `ask_db = true`"
         )
     return ""
 
@@ -85,12 +95,24 @@ def why_deaf(settings: ModuleSettings) -> str:
 def advice(settings: ModuleSettings) -> list[str]:
     """Settings that work but spoil listening, each with the remedy."""
     found: list[str] = []
+    if settings.is_mesh:
+        found.append(
+            "mesh firmware: strengths come from ATDB, are the last relay's, and name no sender; "
+            "use 802.15.4 firmware to search"
+        )
+    elif not settings.is_s1 and settings.values["AO"] != 2:
+        found.append(
+            f"AO={settings.values['AO']}: strengths come from ATDB, one at a time; "
+            "set AO=2, so that every frame carries its own"
+        )
     if settings.api_mode == 1:
         found.append("AP=1: a damaged byte can cost the following frame; AP=2 resynchronises at once")
-    if settings.values["MM"] not in (1, None):
+    if not settings.is_mesh and settings.values["MM"] not in (1, None):
         found.append(
             f"MM={settings.values['MM']}: set MM=1, so that it acknowledges nothing and hears foreign frames"
         )
-    if settings.values["MY"] not in (0xFFFE, 0xFFFF, None):
+    if settings.values["ID"] == 0xFFFF:
+        found.append("ID=FFFF: packets of all PANs on the channel that are broadcast to all are heard")
+    if not settings.is_mesh and settings.values["MY"] not in (0xFFFE, 0xFFFF, None):
         found.append(f"MY={settings.values['MY']:04X}: set MY=FFFE, so that receptions come as 64-bit frames")
     return found
