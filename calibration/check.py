@@ -1,6 +1,6 @@
 """Does a calibration still hold? New readings against what an antenna file predicts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -9,7 +9,7 @@ from calibration import likelihood
 from calibration.dataset import Readings
 from calibration.observations import Missed, make_rows
 from calibration.spread import clustered, standard_errors
-from fieldkit.antenna.file import AntennaFile
+from fieldkit.antenna.file import AntennaFile, gain_db
 from fieldkit.errors import DataError
 
 DRIFT_DB = 1.5
@@ -43,8 +43,14 @@ def check(antenna_file: AntennaFile, readings: Readings) -> Check:
         )
     missed: Missed = "counted" if readings.missed.any() else "none"
     censor = float(np.floor(antenna.threshold_dbm)) if missed == "counted" else None
+    if antenna_file.pattern:
+        if readings.heading_deg is None:
+            raise DataError(
+                f"{readings.name}: this antenna's gain depends on heading, and there is no column heading_deg"
+            )
+        readings = replace(readings, gain_db=gain_db(antenna_file, readings.heading_deg))
     rows = make_rows(readings, missed, censor, antenna.saturation_dbm)
-    predicted = rows.design[:, 1] * antenna.path_loss_exponent + antenna.power_at_1m_dbm
+    predicted = rows.design[:, 1] * antenna.path_loss_exponent + antenna.power_at_1m_dbm + rows.offset_dbm
     rows = likelihood.Rows(rows.design[:, :1], rows.low_dbm, rows.high_dbm, rows.count, rows.place, predicted)
     theta, converged = likelihood.maximise(rows, np.array([0.0, np.log(antenna.sigma_db)]))
     covariance, _, quantile = clustered(theta, rows)
@@ -73,6 +79,19 @@ def check(antenna_file: AntennaFile, readings: Readings) -> Check:
         state=state,
         reasons=tuple(reasons),
     )
+
+
+def words(said: Check) -> list[str]:
+    """For people, a line each."""
+    low, high = said.offset_95
+    return [
+        f"offset {said.offset_db:+.1f} dB ({low:+.1f} to {high:+.1f}) against the calibration",
+        f"spread {said.sigma_db:.1f} dB ({said.sigma_95[0]:.1f} to {said.sigma_95[1]:.1f}), "
+        f"calibrated {said.calibrated_sigma_db:.1f} dB",
+        f"from {said.n_readings} readings and {said.n_missed} missed packets at {said.n_places} places",
+        f"verdict: {said.state}",
+        *(f"  {reason}" for reason in said.reasons),
+    ]
 
 
 def _drifts(

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from fieldkit.errors import ConfigError
+from calibration.cli_collect import collect
+from calibration.options import pairs as _pairs
 
 HELP = "Turn logged readings into an antenna file that a mission can trust, or say why they cannot carry one."
 app = typer.Typer(help=HELP, no_args_is_help=True, rich_markup_mode=None)
@@ -22,6 +23,18 @@ _WHERE = Annotated[
 _PLACE = Annotated[
     float | None, typer.Option("--place-cell-m", help="Positions in one cell of this size are one place.")
 ]
+_SOURCE = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        help="Where the only transmitter stood: east and north in metres (or latitude and longitude)."
+    ),
+]
+_POSITIONS = Annotated[
+    Path | None, typer.Option(help="A position log (CSV with time) for readings without positions.")
+]
+_OFFSET = Annotated[
+    float | None, typer.Option(help="Seconds to add to the readings' times before looking up positions.")
+]
 _NEGATE = Annotated[
     bool, typer.Option("--negate", help="Readings are given as -dBm, as radios' raw bytes are.")
 ]
@@ -29,7 +42,9 @@ _NEGATE = Annotated[
 
 @app.command()
 def fit(
-    readings: Annotated[Path, typer.Argument(help="CSV of readings; columns in docs/calibration.md.")],
+    readings: Annotated[
+        Path, typer.Argument(help="CSV of readings (columns in docs/calibration.md), recording or report.")
+    ],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The antenna file to write.")] = None,
     plot: Annotated[Path | None, typer.Option("--plot", help="Write a picture of the fit (PNG).")] = None,
     report: Annotated[Path | None, typer.Option("--report", help="Write one offline HTML page.")] = None,
@@ -54,7 +69,11 @@ def fit(
     ] = "none",
     place_cell_m: _PLACE = None,
     negate: _NEGATE = False,
-    radio: Annotated[str, typer.Option(help="Radio and its settings, to be remembered in the file.")] = "",
+    source: _SOURCE = None,
+    radio: Annotated[
+        str, typer.Option(help="Settings of the radios, as 'PL=4, channel 15', to be remembered in the file.")
+    ] = "",
+    family: Annotated[str, typer.Option(help="Kind of radio, as 'XBee S2C', to be remembered.")] = "",
     keep_refused: Annotated[
         bool,
         typer.Option("--keep-refused", help="Write the files even if refused; missions still refuse them."),
@@ -67,17 +86,19 @@ def fit(
 
     Example: fieldkit calibrate fit examples/readings.csv -o antenna.toml --plot fit.png
     """
+    from dataclasses import replace
+
     from calibration import output
-    from calibration.dataset import read_readings
     from calibration.fit import Options
     from calibration.fit import fit as fit_readings
+    from calibration.logs import Reading, read_log
     from calibration.verdict import judge
     from fieldkit.antenna.file import dump_antenna
     from fieldkit.files import write_whole
 
-    data = read_readings(
-        readings, names=_pairs(column), where=_pairs(where), place_cell_m=place_cell_m, negate=negate
-    )
+    how = Reading(_pairs(column), _pairs(where), place_cell_m, negate, source)
+    data, notes = read_log(readings, how)
+    data = replace(data, warnings=(*data.warnings, *notes))
     options = Options(missed, saturation_dbm, min_distance_m, receiver_offsets)
     if pattern == "none":
         result, shape = fit_readings(data, options), None
@@ -97,141 +118,91 @@ def fit(
 
             write_whole(report, report_html(result, judgement, shape))
         if out is not None:
-            write_whole(out, dump_antenna(output.antenna_file(result, judgement, radio, shape)))
+            write_whole(out, dump_antenna(output.antenna_file(result, judgement, radio, shape, family)))
     if as_json:
         typer.echo(json.dumps(output.plain(result, judgement, shape)))
     else:
         typer.echo(output.words(result, judgement, shape))
+        written = [path for path in (out, plot, report) if path is not None]
+        if refused and written and not keep_refused:
+            typer.echo("nothing was written")
+        elif written:
+            typer.echo(f"written: {', '.join(map(str, written))}")
     if refused:
         raise typer.Exit(2)
-
-
-def _pairs(texts: list[str] | None) -> dict[str, str]:
-    pairs = {}
-    for text in texts or []:
-        name, sign, value = text.partition("=")
-        if not sign:
-            raise ConfigError(f"expected NAME=VALUE, got '{text}'")
-        pairs[name.strip()] = value.strip()
-    return pairs
 
 
 @app.command()
 def check(
     antenna: Annotated[Path, typer.Argument(help="The antenna file in use.")],
-    readings: Annotated[Path, typer.Argument(help="New readings, a CSV as for fit.")],
+    log: Annotated[Path, typer.Argument(help="New readings: a CSV as for fit, or a recording (MCAP).")],
     column: _COLUMN = None,
     where: _WHERE = None,
     place_cell_m: _PLACE = None,
     negate: _NEGATE = False,
+    source: _SOURCE = None,
     as_json: _JSON = False,
 ) -> None:
-    """Say whether a calibration still holds on new readings (exit code 1 if it has drifted).
+    """Say whether a calibration still holds on new readings (exit code 1 if it does not).
 
     Example: fieldkit calibrate check antenna.toml today.csv
     """
     from dataclasses import asdict
 
-    from calibration.check import check as compare
-    from calibration.dataset import read_readings
+    from calibration import check as checking
+    from calibration.logs import Reading, read_log
     from fieldkit.antenna.file import read_antenna
 
-    file = read_antenna(antenna, allow_refused=True)
-    data = read_readings(
-        readings, names=_pairs(column), where=_pairs(where), place_cell_m=place_cell_m, negate=negate
-    )
-    said = compare(file, data)
+    file = read_antenna(antenna, allow_refused=True, allow_pattern=True)
+    data, notes = read_log(log, Reading(_pairs(column), _pairs(where), place_cell_m, negate, source))
+    said = checking.check(file, data)
+    notes = [*data.warnings, *notes]
     if as_json:
-        typer.echo(json.dumps(asdict(said)))
+        typer.echo(json.dumps({**asdict(said), "warnings": notes}))
     else:
-        low, high = said.offset_95
-        typer.echo(f"offset {said.offset_db:+.1f} dB ({low:+.1f} to {high:+.1f}) against the calibration")
-        typer.echo(f"spread {said.sigma_db:.1f} dB, calibrated {said.calibrated_sigma_db:.1f} dB")
-        typer.echo(f"verdict: {said.state}")
-        for reason in said.reasons:
-            typer.echo(f"  {reason}")
+        typer.echo("\n".join([*checking.words(said), *(f"  warning: {note}" for note in notes)]))
     if said.state != "holds":
         raise typer.Exit(1)
 
 
 @app.command("import")
 def import_(
-    log: Annotated[Path, typer.Argument(help="A CSV under other names, or a mission.mcap.")],
+    log: Annotated[
+        Path, typer.Argument(help="A CSV under other names, a recording (MCAP), or our own report.")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="The CSV of readings to write.")],
     column: _COLUMN = None,
     where: _WHERE = None,
-    source: Annotated[
-        tuple[float, float] | None,
-        typer.Option(help="For a recording: where its only transmitter stood, east and north in metres."),
-    ] = None,
+    source: _SOURCE = None,
+    positions: _POSITIONS = None,
+    clock_offset_s: _OFFSET = None,
+    negate: _NEGATE = False,
 ) -> None:
     """Turn another log into a CSV of readings that fit and check take.
+
+    Nothing is written if the log cannot be used; what is doubtful about it is said.
 
     Example: fieldkit calibrate import mission.mcap --source 5.0 5.0 -o readings.csv
     """
     from calibration.dataset import read_readings
-    from calibration.importing import csv_from_recording, csv_from_table
+    from calibration.importing import csv_from_table
+    from calibration.logs import Reading, as_readings_csv
     from fieldkit.files import write_whole
 
-    if log.suffix == ".mcap":
-        if source is None:
-            raise ConfigError("--source: expected the transmitter's east and north in metres; got nothing")
-        text = csv_from_recording(log, *source)
-    else:
-        text = csv_from_table(log, _pairs(column), _pairs(where))
-    existed = out.exists()
-    previous = out.read_bytes() if existed else b""
+    how = Reading(_pairs(column), _pairs(where), None, negate, source, positions, clock_offset_s)
+    text, notes = as_readings_csv(log, how)
+    if text is None:
+        # Read the original once, so that errors name its lines.
+        read_readings(log, names=how.names, where=how.where, negate=negate)
+        text = csv_from_table(log, how.names, how.where, negate=negate)
+    data = read_readings(log, text=text)
     write_whole(out, text)
-    try:
-        data = read_readings(out)
-    except ValueError:
-        # What cannot be read back helps nobody: leave things as they were.
-        if existed:
-            write_whole(out, previous)
-        else:
-            out.unlink()
-        raise
-    typer.echo(f"{out}: {int((~data.missed).sum())} readings, {int(data.missed.sum())} missed packets")
-
-
-@app.command()
-def collect(
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="The CSV to fill; an unfinished one is gone on with.")
-    ],
-    receiver: Annotated[str, typer.Option(help="Receiver driver, as in mission.toml.")] = "xbee",
-    setting: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Option of the driver, as port=/dev/ttyUSB0; repeatable."),
-    ] = None,
-    name: Annotated[str, typer.Option(help="What to call this receiver in the file.")] = "r1",
-    period_s: Annotated[float, typer.Option(help="Time between the transmitter's packets.")] = 0.5,
-    packets: Annotated[int, typer.Option(min=1, help="Packets to wait for at each place.")] = 20,
-    source: Annotated[str, typer.Option(help="The transmitter's address; empty counts every sender.")] = "",
-    record: Annotated[Path | None, typer.Option(help="Also record everything heard (MCAP).")] = None,
-) -> None:
-    """Collect readings place by place with a real receiver, counting the packets that do not arrive.
-
-    Example: fieldkit calibrate collect -o readings.csv --set port=/dev/ttyUSB0 --period-s 0.5
-    """
-    import asyncio
-    from contextlib import nullcontext
-
-    from calibration.collect import Beacon
-    from calibration.collect import collect as run
-    from fieldkit import plugins
-    from fieldkit.clock import RealClock
-    from fieldkit.geo import FieldFrame
-    from fieldkit.ports import Surroundings
-    from fieldkit.recording import RecordingWriter
-
-    if period_s <= 0.0:
-        raise ConfigError(f"--period-s: expected a time above zero, got {period_s}")
-    clock = RealClock()
-    opened = plugins.load("fieldkit.receivers", receiver)(
-        name, _pairs(setting), Surroundings(clock, FieldFrame(0.0, 0.0))
+    typer.echo(
+        f"{out}: {int((~data.missed).sum())} readings, {int(data.missed.sum())} missed packets, "
+        f"{data.n_places} places"
     )
-    beacon = Beacon(period_s, packets, source)
-    with RecordingWriter(record, start_ns=clock.now_ns()) if record else nullcontext() as recorder:
-        places = asyncio.run(run(opened, clock, beacon, out, typer.prompt, typer.echo, recorder))
-    typer.echo(f"{out}: {len(places)} places; now: fieldkit calibrate fit {out} -o antenna.toml")
+    for note in (*data.warnings, *notes):
+        typer.echo(f"  warning: {note}")
+
+
+app.command()(collect)

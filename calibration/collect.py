@@ -1,21 +1,30 @@
 """Guided collection with a real receiver: ask where, listen, say what came and what is still missing."""
 
 import asyncio
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from contextlib import AsyncExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from calibration.collection import Place, from_csv, packets_from, still_missing, to_csv
+from calibration.journal import Journal
+from calibration.whereabouts import Spot, Whereabouts
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError
 from fieldkit.files import write_whole
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import Receiver
-from fieldkit.recording import RecordingWriter
 
 Ask = Callable[[str], str]
 Say = Callable[[str], None]
 QUESTION = "distance in m, heading if known (as '2.5' or '2.5 90'), u: undo, q: done"
+QUESTION_TRACKED = "Enter: measure here, t: the robot stands at the transmitter, u: undo, q: done"
+TURN = "turn the antenna until the transmitter is {:.0f} deg clockwise of its front; Enter: done, s: skip"
+STAND_S = 2.0
+"""How long to look at positions when the robot stands at the transmitter."""
+SHOW_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,82 +38,189 @@ class Beacon:
     """Its address as frames carry it; others are not counted. Empty: take everything heard."""
 
 
-async def collect(
-    receiver: Receiver,
-    clock: Clock,
-    beacon: Beacon,
-    out: Path,
-    ask: Ask,
-    say: Say,
-    recorder: RecordingWriter | None = None,
-) -> list[Place]:
-    """Fill `out` place by place until the operator is done; an existing file of ours is gone on with.
+@dataclass(slots=True)
+class Collector:
+    """One collection. `run` fills `out` place by place until the operator is done."""
 
-    Raises `DeviceError` if the receiver is lost while listening: the place in hand is not written.
-    """
-    places = await asyncio.to_thread(_already, out)
-    if places:
-        say(f"{out}: going on after {len(places)} places")
-    inbox: list[RssReading | ReceiverState] = []
-    async with receiver:
-        listening = asyncio.create_task(_listen(receiver, inbox, recorder, clock))
-        try:
-            while (answer := await asyncio.to_thread(ask, QUESTION)).strip() != "q":
-                if answer.strip() == "u":
-                    say(f"removed {places.pop().name}" if places else "there is nothing to undo")
-                else:
-                    await _one_place(answer, receiver, clock, beacon, inbox, places, say)
-                write_whole(out, to_csv(places))
-        finally:
-            listening.cancel()
-            await asyncio.gather(listening, return_exceptions=True)
-    return places
+    receiver: Receiver
+    clock: Clock
+    beacon: Beacon
+    out: Path
+    ask: Ask
+    say: Say
+    journal: Journal | None = None
+    whereabouts: Whereabouts | None = None
+    """None: distances are typed."""
+    headings_deg: Sequence[float] = ()
+    """Ask for the antenna to be turned to each of these at every place."""
+    show: Say = lambda text: None
+    """Told how it goes while listening, about once a second."""
+    places: list[Place] = field(default_factory=list)
+    inbox: list[RssReading | ReceiverState] = field(default_factory=list)
+
+    async def run(self) -> list[Place]:
+        """Go on with an existing file of ours, or begin one; written after every place.
+
+        Raises `DeviceError` if the receiver is lost while listening: the place in hand is not written.
+        """
+        self.places = await asyncio.to_thread(_already, self.out)
+        if self.places:
+            self.say(f"{self.out}: going on after {_count(self.places)} places")
+            for wish in still_missing(self.places):
+                self.say(f"  still wanted: {wish}")
+        for place in self.places:
+            self._note(place)
+        question = QUESTION if self.whereabouts is None else QUESTION_TRACKED
+        async with AsyncExitStack() as stack:
+            await stack.enter_async_context(self.receiver)
+            if self.whereabouts is not None:
+                await stack.enter_async_context(self.whereabouts.following())
+            listening = asyncio.create_task(self._listen())
+            try:
+                while (answer := (await asyncio.to_thread(self.ask, question)).strip()) != "q":
+                    await self._answered(answer)
+                    await asyncio.to_thread(write_whole, self.out, to_csv(self.places))
+            finally:
+                listening.cancel()
+                await asyncio.gather(listening, return_exceptions=True)
+        return self.places
+
+    async def _answered(self, answer: str) -> None:
+        if answer == "u":
+            self._undo()
+        elif self.whereabouts is None:
+            await self._typed(answer)
+        elif answer == "t":
+            await self._at_transmitter(self.whereabouts)
+        elif answer:
+            self.say(f"'{answer}' is no answer; {QUESTION_TRACKED}")
+        else:
+            await self._tracked(self.whereabouts)
+
+    def _undo(self) -> None:
+        if not self.places:
+            self.say("there is nothing to undo")
+            return
+        self.say(f"removed {self.places.pop().summary()}")
+        if self.journal is not None:
+            self.journal.removed()
+
+    async def _typed(self, answer: str) -> None:
+        where = parse_answer(answer)
+        if where is None:
+            self.say(f"'{answer}' is not a distance above zero; {QUESTION}")
+            return
+        distance, heading = where
+        if self.headings_deg:
+            name = self._next_name()
+            for turned in self.headings_deg:
+                if (await asyncio.to_thread(self.ask, TURN.format(turned))).strip() != "s":
+                    self._add(await self._listened(), distance, turned, name)
+            return
+        if self.places and (heading is None) != (self.places[0].heading_deg is None):
+            self.say(
+                "give the heading at every place or at none"
+                if heading is None
+                else "no heading: none was given before"
+            )
+            return
+        self._add(await self._listened(), distance, heading, self._next_name())
+
+    async def _tracked(self, whereabouts: Whereabouts) -> None:
+        """One place where telemetry or a camera says the robot stands."""
+        if whereabouts.transmitter_m is None:
+            self.say(str(whereabouts.spot([])))
+            return
+        before = len(whereabouts.poses)
+        start_ns, heard = await self._listened()
+        poses = whereabouts.poses[before:]
+        spot = whereabouts.spot(poses)
+        if not isinstance(spot, Spot):
+            self.say(f"not kept: {spot}")
+            return
+        if off := whereabouts.clock_off_s(self.clock.now_ns()):
+            self.say(
+                f"  mind: positions are stamped {off:+.1f} s from this computer's clock; set both by one"
+            )
+        if self.journal is not None:
+            for pose in poses:
+                self.journal.event(self.clock.now_ns(), pose)
+        self._add((start_ns, heard), spot.distance_m, spot.heading_deg, self._next_name())
+
+    async def _at_transmitter(self, whereabouts: Whereabouts) -> None:
+        before = len(whereabouts.poses)
+        await self.clock.sleep(STAND_S)
+        stood = whereabouts.stood(whereabouts.poses[before:])
+        if isinstance(stood, str):
+            self.say(stood)
+        else:
+            whereabouts.transmitter_m = stood
+            self.say(f"the transmitter is at {stood[0]:.2f} m east, {stood[1]:.2f} m north")
+
+    async def _listened(self) -> tuple[int, list[RssReading]]:
+        """When listening began, and what the transmitter was heard with."""
+        self.inbox.clear()
+        start_ns = self.clock.now_ns()
+        left_s = self.beacon.period_s * self.beacon.packets
+        while left_s > 1e-9:
+            step_s = min(left_s, max(SHOW_S, self.beacon.period_s))
+            await self.clock.sleep(step_s)
+            left_s -= step_s
+            self.show(self._so_far(start_ns, left_s))
+        if any(isinstance(event, ReceiverState) and not event.up for event in self.inbox):
+            raise DeviceError(
+                f"the receiver of {self.receiver.robot} was lost; plug it in and start again: nothing is lost"
+            )
+        return start_ns, self._heard(start_ns)
+
+    def _heard(self, start_ns: int) -> list[RssReading]:
+        return [
+            event
+            for event in self.inbox
+            if isinstance(event, RssReading)
+            and event.t_ns >= start_ns
+            and (event.frame_id or "").startswith(self.beacon.source)
+        ]
+
+    def _so_far(self, start_ns: int, left_s: float) -> str:
+        level = [reading.rss_dbm for reading in self._heard(start_ns)]
+        said = f"{len(level)} heard"
+        if level:
+            said += f", mean {np.mean(level):.1f} dBm, spread {np.std(level):.1f} dB"
+        return f"listening, {left_s:.0f} s left: {said}"
+
+    def _add(
+        self, listened: tuple[int, list[RssReading]], distance_m: float, heading_deg: float | None, name: str
+    ) -> None:
+        start_ns, heard = listened
+        packets = packets_from(heard, start_ns, self.beacon.period_s, self.beacon.packets)
+        place = Place(name, distance_m, heading_deg, self.receiver.robot, packets)
+        self.places.append(place)
+        self._note(place)
+        self.say(place.summary())
+        for wish in still_missing(self.places):
+            self.say(f"  still wanted: {wish}")
+
+    def _note(self, place: Place) -> None:
+        if self.journal is not None:
+            self.journal.place(place)
+
+    def _next_name(self) -> str:
+        return f"p{_count(self.places) + 1:02d}"
+
+    async def _listen(self) -> None:
+        async for event in self.receiver.readings():
+            self.inbox.append(event)
+            if self.journal is not None:
+                self.journal.event(self.clock.now_ns(), event)
+
+
+def _count(places: Sequence[Place]) -> int:
+    return len({place.name for place in places})
 
 
 def _already(out: Path) -> list[Place]:
     return from_csv(out) if out.exists() else []
-
-
-async def _one_place(
-    answer: str,
-    receiver: Receiver,
-    clock: Clock,
-    beacon: Beacon,
-    inbox: list[RssReading | ReceiverState],
-    places: list[Place],
-    say: Say,
-) -> None:
-    where = parse_answer(answer)
-    if where is None:
-        say(f"'{answer}' is not a distance above zero; {QUESTION}")
-        return
-    if places and (where[1] is None) != (places[0].heading_deg is None):
-        say(
-            "give the heading at every place or at none"
-            if where[1] is None
-            else "no heading: none was given before"
-        )
-        return
-    inbox.clear()
-    start_ns = clock.now_ns()
-    await clock.sleep(beacon.period_s * beacon.packets)
-    if any(isinstance(event, ReceiverState) and not event.up for event in inbox):
-        raise DeviceError(
-            f"the receiver of {receiver.robot} was lost; plug it in and start again: nothing is lost"
-        )
-    heard = [
-        event
-        for event in inbox
-        if isinstance(event, RssReading)
-        and event.t_ns >= start_ns
-        and (event.frame_id or "").startswith(beacon.source)
-    ]
-    name = f"p{len(places) + 1:02d}"
-    packets = packets_from(heard, start_ns, beacon.period_s, beacon.packets)
-    places.append(Place(name, where[0], where[1], receiver.robot, packets))
-    say(places[-1].summary())
-    for wish in still_missing(places):
-        say(f"  still wanted: {wish}")
 
 
 def parse_answer(answer: str) -> tuple[float, float | None] | None:
@@ -113,20 +229,6 @@ def parse_answer(answer: str) -> tuple[float, float | None] | None:
         values = [float(text) for text in answer.split()]
     except ValueError:
         return None
-    if len(values) not in (1, 2) or not 0.0 < values[0] < 1e5:
+    if len(values) not in (1, 2) or not 0.0 < values[0] < 1e5 or not np.all(np.isfinite(values)):
         return None
     return values[0], values[1] if len(values) == 2 else None
-
-
-async def _listen(
-    receiver: Receiver,
-    inbox: list[RssReading | ReceiverState],
-    recorder: RecordingWriter | None,
-    clock: Clock,
-) -> None:
-    number = 0
-    async for event in receiver.readings():
-        inbox.append(event)
-        if recorder is not None:
-            recorder.event(number, clock.now_ns(), event)
-        number += 1

@@ -104,11 +104,12 @@ def read_readings(
     where: Mapping[str, str] | None = None,
     place_cell_m: float | None = None,
     negate: bool = False,
+    text: str | None = None,
 ) -> Readings:
-    """Read and check a CSV. Raises `DataError` naming file, line and remedy."""
+    """Read and check a CSV, or `text` that was made of one. Raises `DataError` naming file, line and remedy."""
     from calibration import sanity
 
-    table = read_table(path, names=names, where=where)
+    table = read_table(path, names=names, where=where, text=text)
     if "rss_dbm" not in table.columns:
         raise DataError(
             f"{path}: no column of readings; name one rss_dbm, or map yours: --column rss_dbm=NAME. "
@@ -140,7 +141,7 @@ def read_readings(
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
     )
     readings, more = sanity.check_rows(table, readings)
-    return replace(readings, warnings=(*readings.warnings, *more))
+    return replace(readings, warnings=(*readings.warnings, *more, *sanity.check_clocks(table, readings)))
 
 
 def _places(

@@ -13,6 +13,8 @@ from calibration.spread import clustered
 from fieldkit.messages import FloatArray
 
 SUSPECT_NATS, SURE_NATS = 3.0, 6.0
+UNITS = (("centimetres", 100.0), ("millimetres", 1000.0))
+LARGEST_SPREAD_LEFT = 2.0 / 3.0
 OUT_OF_REACH_M = 100_000.0
 """No radio calibrated here reaches this far: coordinates that say so are exchanged."""
 
@@ -128,6 +130,31 @@ def swapped(result: FitResult) -> tuple[str, bool]:
         if exponent > 0.5 and evidence > most:
             name, most, sure = what, evidence, evidence > SURE_NATS and alternative < 0.95 * sigma
     return name, sure
+
+
+def mixed_units(result: FitResult) -> str:
+    """Which distances look as if they were given in another unit than the rest, in words; empty where none.
+
+    A group of places at one end, beyond the widest gaps, is tried 100 and 1000 times nearer or farther. As for
+    `swapped`, evidence counts places; it must be beyond doubt, and the spread must fall by a third.
+    """
+    r = result.readings
+    heard = ~r.missed
+    distance, level = r.distance_m[heard], r.rss_dbm[heard]
+    _, sigma = _quick(distance, level)
+    distinct = np.unique(distance)
+    gaps = np.argsort(np.diff(np.log(distinct)))[::-1][:3]
+    said, best = "", sigma * LARGEST_SPREAD_LEFT
+    for edge in np.sqrt(distinct[gaps] * distinct[gaps + 1]):
+        for unit, factor, far in ((*UNITS[0], True), (*UNITS[1], True), ("", 1000.0, False)):
+            odd = distance > edge if far else distance < edge
+            moved = np.where(odd, distance * (1.0 / factor if far else factor), distance)
+            exponent, left = _quick(moved, level)
+            evidence = result.n_places * float(np.log(sigma / max(left, 1e-6)))
+            if exponent > 0.5 and left < best and evidence > SURE_NATS:
+                which, other = ("above", unit) if far else ("below", "kilometres")
+                said, best = f"distances {which} {edge:.3g} m are in {other}", left
+    return said
 
 
 def near_field(result: FitResult) -> tuple[float, float] | None:

@@ -46,7 +46,11 @@ def geometry(table: Table) -> tuple[FloatArray, FloatArray | None, FloatArray | 
         distance = between
     if np.any(distance <= 0.0):
         row = int(np.argmax(distance <= 0.0))
-        raise table.error(row, f"the distance is {distance[row]:g} m; it must be above zero (metres)")
+        raise table.error(
+            row,
+            f"the distance is {distance[row]:g} m ({(distance <= 0.0).sum()} such rows); it must be above zero: "
+            "correct the positions, or delete the row",
+        )
     return distance, tx, rx, notes
 
 
@@ -57,7 +61,20 @@ def _local(table: Table) -> tuple[FloatArray, FloatArray]:
         wrong = np.abs(values[name]) > 90.0
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise table.error(row, f"{name} is {values[name][row]:g}: latitude and longitude look swapped")
+            raise table.error(
+                row,
+                f"{name} is {values[name][row]:g}: a latitude is -90 to 90; latitude and longitude look swapped: "
+                "exchange the two columns' names",
+            )
+    for end in ("tx", "rx"):
+        nowhere = (values[f"{end}_lat_deg"] == 0.0) & (values[f"{end}_lon_deg"] == 0.0)
+        if nowhere.any() and not nowhere.all():
+            row = int(np.argmax(nowhere))
+            raise table.error(
+                row,
+                f"{end}_lat_deg and {end}_lon_deg are 0 ({nowhere.sum()} such rows): the receiver of positions "
+                "had no fix yet; delete these rows",
+            )
     return _metres(values)
 
 

@@ -13,9 +13,13 @@ _NAMES = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
 
 
 def antenna_file(
-    result: FitResult, judgement: Judgement, radio: str = "", pattern: Pattern | None = None
+    result: FitResult,
+    judgement: Judgement,
+    radio: str = "",
+    pattern: Pattern | None = None,
+    family: str = "",
 ) -> AntennaFile:
-    """What a mission reads."""
+    """What a mission reads. `radio`: its settings; `family`: what kind it is."""
     heard = result.readings.distance_m[~result.readings.missed]
     data: dict[str, Any] = {
         "file": result.readings.name,
@@ -40,7 +44,7 @@ def antenna_file(
         intervals_95=result.intervals_95,
         covariance={"names": list(_NAMES), "matrix": covariance(result).tolist()},
         data=data,
-        radio={"setting": radio} if radio else {},
+        radio={name: text for name, text in (("family", family), ("setting", radio)) if text},
         model=_model(pattern),
         pattern={} if pattern is None or _round(pattern) else _table(pattern),
     )

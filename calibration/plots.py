@@ -28,7 +28,7 @@ def fit_png(result: FitResult) -> bytes:
         color="#33658a",
         alpha=0.6,
         linewidths=0,
-        label="readings",
+        label="readings" if result.readings.gain_db is None else "readings less the antenna's gain",
     )
     r = result.readings
     line = np.geomspace(r.distance_m.min(), r.distance_m.max(), 200)
@@ -44,13 +44,17 @@ def fit_png(result: FitResult) -> bytes:
         axes.axhline(
             result.antenna.saturation_dbm, color="grey", linestyle=":", linewidth=1, label="saturation"
         )
-    axes.set(xscale="log", xlabel="distance (m)", ylabel="reading (dBm)", title=r.name)
+    axes.set(xlabel="distance (m)", ylabel="reading (dBm)", title=r.name)
+    _log_distance(axes)
     axes.legend(fontsize="small")
     return _png(figure)
 
 
 def residual_pngs(result: FitResult) -> dict[str, bytes]:
-    """Residuals against distance, place, and heading and time where they are known. Title to PNG."""
+    """Residuals against distance, place, and heading and time where they are known. Title to PNG.
+
+    Far away only what was heard has a residual: those lie above zero although the fit is right.
+    """
     r = result.readings
     axes_of: dict[str, tuple[FloatArray, str]] = {
         "distance": (r.distance_m, "distance (m)"),
@@ -72,7 +76,9 @@ def residual_pngs(result: FitResult) -> dict[str, bytes]:
             axes.axhline(
                 sign * BAND_SIGMA * result.antenna.sigma_db, color="#d1495b", linewidth=0.7, linestyle=":"
             )
-        axes.set(xscale="log" if name == "distance" else "linear", xlabel=label, ylabel="residual (dB)")
+        axes.set(xlabel=label, ylabel="residual (dB)")
+        if name == "distance":
+            _log_distance(axes)
         pictures[name] = _png(figure)
     return pictures
 
@@ -89,7 +95,9 @@ def polar_png(pattern: Pattern) -> bytes:
     axes.set_theta_direction(-1)
     heading, gain = pattern.table()
     closed = np.append(heading, 360.0)
-    axes.plot(np.radians(closed), np.append(gain, gain[0]), color="#d1495b")
+    gain, half = np.append(gain, gain[0]), BAND_SIGMA * pattern.gain_sigma(closed)
+    axes.plot(np.radians(closed), gain, color="#d1495b")
+    axes.fill_between(np.radians(closed), gain - half, gain + half, color="#d1495b", alpha=0.15, linewidth=0)
     axes.set_title(f"{pattern.name}, gain in dB")
     return _png(figure)
 
@@ -105,7 +113,8 @@ def profile_png(profiles: Sequence[Profile]) -> bytes:
         axes = figure.add_subplot(1, len(profiles), number + 1)
         axes.plot(one.value, one.drop, color="#33658a")
         axes.axhline(1.0, color="#d1495b", linewidth=0.8, linestyle=":")
-        axes.set(xlabel=one.name, ylim=(0.0, 1.2))
+        unit = "" if one.name == "path_loss_exponent" else " (dB)" if one.name == "sigma_db" else " (dBm)"
+        axes.set(xlabel=one.name.removesuffix("_dbm").removesuffix("_db") + unit, ylim=(0.0, 1.2))
         axes.locator_params(axis="x", nbins=4)
     return _png(figure)
 
@@ -118,12 +127,26 @@ def save_plot(result: FitResult, path: Path) -> None:
 
 
 def _counted(result: FitResult) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distinct (distance, reading) with how often: a million readings are still a small picture."""
+    """Distinct (distance, reading) with how often: a million readings are still a small picture.
+
+    Readings are shown as an antenna that is the same all round would have given them.
+    """
     r = result.readings
-    pairs = np.column_stack([r.distance_m, r.rss_dbm])[~r.missed]
+    level = r.rss_dbm if r.gain_db is None else r.rss_dbm - r.gain_db
+    pairs = np.column_stack([r.distance_m, level])[~r.missed]
     distinct, count = np.unique(pairs, axis=0, return_counts=True)
     step = max(1, len(distinct) // _MOST_POINTS)
     return distinct[::step, 0], distinct[::step, 1], count[::step].astype(float)
+
+
+def _log_distance(axes: Any) -> None:
+    """A logarithmic axis labelled 0.2, 0.5, 1, 2 ..., not in powers of ten."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _figure(width: float, height: float) -> tuple[Any, Any]:

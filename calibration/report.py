@@ -2,8 +2,11 @@
 
 from base64 import b64encode
 
+import numpy as np
+
 from calibration import plots
-from calibration.fit import FitResult
+from calibration.embedded import link
+from calibration.fit import OUTLIER_SIGMA, FitResult
 from calibration.patterns import Pattern
 from calibration.profile import profile
 from calibration.verdict import Judgement
@@ -12,23 +15,29 @@ _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Calibrati
 <style>
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 50rem; margin: 2rem auto; color: #222 }
 table { border-collapse: collapse }
-td, th { padding: .2rem .8rem; text-align: left; border-bottom: 1px solid #ddd }
+td, th { padding: .2rem .8rem .2rem 0; text-align: left; border-bottom: 1px solid #ddd; vertical-align: top }
+td:nth-child(-n+3), th { white-space: nowrap } code { font-size: .85em; overflow-wrap: anywhere }
 img { max-width: 100% } .verdict { padding: .6rem 1rem; border-radius: .4rem; background: {{ colour }} }
 </style>
 <h1>Calibration of {{ name }}</h1>
 <div class="verdict"><strong>{{ judgement.state|capitalize }}.</strong>
 {{ meaning }}
-<ul>{% for text in judgement.refusals %}<li><strong>Refused:</strong> {{ text }}.</li>{% endfor %}
-{% for text in judgement.warnings %}<li>{{ text }}.</li>{% endfor %}</ul></div>
+{% if judgement.reasons %}<ul>{% for text in judgement.refusals %}<li><strong>Refused:</strong> {{ text }}.</li>
+{% endfor %}{% for text in judgement.warnings %}<li>{{ text }}.</li>{% endfor %}</ul>{% endif %}</div>
 <h2>Parameters</h2>
 <table><tr><th>parameter<th>value<th>95 % interval<th>meaning</tr>
 {% for row in rows %}<tr>{% for cell in row %}<td>{{ cell }}{% endfor %}</tr>{% endfor %}</table>
 <p>{{ counts }} Intervals count places, not readings: readings at one spot share its reflections.</p>
 {% if split %}<p>{{ split }}</p>{% endif %}
+<p>How the numbers were got: interval-censored maximum likelihood; {{ left_out }}</p>
+<p>The readings are in this page: <a download="readings.csv.gz" href="{{ data }}">save them as CSV</a>, or
+<code>fieldkit calibrate import</code> this page. They came from {{ name }}, SHA-256 <code>{{ sha }}</code>.</p>
 <h2>Readings against distance</h2><img alt="fit" src="data:image/png;base64,{{ fit }}">
 {% if polar %}<h2>Gain by heading</h2><p>{{ shape }}</p>
 <img alt="pattern" src="data:image/png;base64,{{ polar }}">{% endif %}
 <h2>What the fit leaves over</h2>
+<p>Reading minus fitted level; dotted: 95 %. {% if missed %}Missed packets have no residual, so that far away, where
+only the strong ones were heard, the points lie above zero although the fit is right.{% endif %}</p>
 {% for title, picture in residuals %}<h3>Against {{ title }}</h3>
 <img alt="residuals against {{ title }}" src="data:image/png;base64,{{ picture }}">{% endfor %}
 <h2>How sure each parameter is</h2>
@@ -50,14 +59,48 @@ _PARAMETERS = (
 )
 
 
+def _row(result: FitResult, name: str, unit: str, meaning: str) -> tuple[str, str, str, str]:
+    low, high = result.intervals_95[name]
+    value = f"{getattr(result.antenna, name):.2f}{unit}"
+    if name == "threshold_dbm" and not result.threshold.identified:
+        return name, value, f"somewhere under {high:.0f}", "no packet was missed, so it is not known"
+    if low == high:
+        return name, value, "exact", f"{meaning}; a whole number that the missed packets leave no doubt about"
+    return name, value, f"{low:.2f} to {high:.2f}", meaning
+
+
+def _shape(pattern: Pattern) -> str:
+    tried = ", ".join(f"{name} {value:.0f}" for name, value in pattern.bic.items())
+    return (
+        f"{pattern.name.capitalize()}, {np.ptp(pattern.table()[1]):.1f} dB from its weakest to its best side; the "
+        f"band holds 95 %. Bayesian information criterion, least is best: {tried}."
+    )
+
+
+def _left_out(result: FitResult) -> str:
+    count = f"{result.n_outliers} readings more than {OUTLIER_SIGMA:g} sigma from the fit were left out"
+    lost = (
+        f", and {result.n_lost_near} packets missed where all should be heard" if result.n_lost_near else ""
+    )
+    return f"{count}{lost}." if result.n_outliers or lost else "no reading was left out as an outlier."
+
+
 def report_html(result: FitResult, judgement: Judgement, pattern: Pattern | None = None) -> str:
     """The page as text."""
     from jinja2 import Environment
 
-    rows = []
-    for name, unit, meaning in _PARAMETERS:
-        low, high = result.intervals_95[name]
-        rows.append((name, f"{getattr(result.antenna, name):.2f}{unit}", f"{low:.2f} to {high:.2f}", meaning))
+    rows = [_row(result, *parameter) for parameter in _PARAMETERS]
+    if result.antenna.saturation_dbm is not None:
+        level = f"{result.antenna.saturation_dbm:.0f} dBm"
+        rows.append(
+            ("saturation_dbm", level, f"{result.n_saturated} readings", "stronger ones are reported so")
+        )
+    for receiver, (value, half) in result.receiver_offsets_db.items():
+        first = result.readings.receivers[0]
+        interval = f"{value - half:.1f} to {value + half:.1f}"
+        rows.append(
+            (f"receiver {receiver}", f"{value:+.1f} dB", interval, f"how much more than {first} it reports")
+        )
     split = ""
     if result.sigma_time_db is not None and result.sigma_place_db is not None:
         split = (
@@ -74,12 +117,16 @@ def report_html(result: FitResult, judgement: Judgement, pattern: Pattern | None
             colour=_COLOUR[judgement.state],
             rows=rows,
             split=split,
+            missed=result.n_missed,
+            data=link(result.readings),
+            sha=result.readings.sha256 or "not known",
+            left_out=_left_out(result),
             counts=f"{result.n_readings} readings, {result.n_missed} missed, {result.n_places} places.",
             profiles=b64encode(
                 plots.profile_png([profile(result, row[0]) for row in _PARAMETERS[:3]])
             ).decode(),
             polar="" if pattern is None else b64encode(plots.polar_png(pattern)).decode(),
-            shape="" if pattern is None else f"Chosen: {pattern.name}.",
+            shape="" if pattern is None else _shape(pattern),
             fit=b64encode(plots.fit_png(result)).decode(),
             residuals=[
                 (title, b64encode(png).decode()) for title, png in plots.residual_pngs(result).items()

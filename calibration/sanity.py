@@ -7,12 +7,15 @@ from itertools import pairwise
 
 import numpy as np
 
+from calibration.clocks import Track, estimate_offset
 from calibration.dataset import Readings
 from calibration.table import Table
 from fieldkit.messages import FloatArray
 
 WEAKEST_DBM = -150.0
 """No receiver hears less: LoRa reaches -148 dBm (Semtech SX1276 data sheet)."""
+LARGEST_BYTE, MIXED_SHARE = 128.0, 0.05
+"""A radio's raw byte is below this; so many rows of each sign are no accident."""
 LONG_RUN = 100
 """Equal readings in a row across places: a register that was read again and again."""
 
@@ -24,6 +27,14 @@ def check_levels(table: Table, rss_dbm: FloatArray) -> None:
         raise table.error(0, "no packet was received in the whole file: there is nothing to fit")
     level = rss_dbm[heard]
     rows = np.flatnonzero(heard)
+    positive, negative = (level > 0.0) & (level < LARGEST_BYTE), level < 0.0
+    if positive.mean() > MIXED_SHARE and negative.mean() > MIXED_SHARE:
+        first = int(np.argmax(positive))
+        raise table.error(
+            int(rows[first]),
+            f"rss_dbm is {level[first]:g}, but negative in {negative.sum()} of {len(level)} rows: dBm and -dBm "
+            "are mixed in one file; give all the same sign (a raw byte 50 is -50 dBm)",
+        )
     if np.mean(level > 0.0) > 0.5:
         raise table.error(
             int(rows[0]),
@@ -72,6 +83,18 @@ def check_rows(table: Table, readings: Readings) -> tuple[Readings, list[str]]:
         )
     warnings += _clock(table)
     return readings, warnings
+
+
+def check_clocks(table: Table, readings: Readings) -> list[str]:
+    """Whether levels follow the positions of another moment than their own: two clocks in one file."""
+    if "time" not in table.columns or readings.rx_m is None or readings.tx_m is None:
+        return []
+    if readings.order is None or np.ptp(readings.tx_m, axis=0).max() > 0.0:
+        return []
+    who = np.zeros(len(readings.order), dtype=np.int64) if readings.receiver is None else readings.receiver
+    tracks = {int(k): Track(readings.order[who == k], readings.rx_m[who == k]) for k in np.unique(who)}
+    found = estimate_offset(readings.order, readings.rss_dbm, who, tracks, readings.tx_m[0])
+    return [] if found is None else [found.warning()]
 
 
 def _copied_places(readings: Readings) -> list[str]:

@@ -4,6 +4,8 @@ Accepted names, first one preferred. `--column ours=theirs` adds to them for one
 """
 
 import csv
+import io
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,20 +85,32 @@ def _explain(name: str, text: str) -> str:
         return f"{name} is empty; give every row a value, or delete the row"
     if "," in text and _is_number(text.replace(",", "."), None):
         return f"{name} is {text!r}: a decimal comma; export with decimal points"
+    if re.fullmatch(r"[-+]?[0-9.]+\s*[A-Za-zµ°%]+", text):
+        return f"{name} is {text!r}: a unit in the cell; give the number alone, {_unit(name)}"
     if name == "rss_dbm":
         return f"rss_dbm is {text!r}: not a number; leave it empty where a packet was sent but not received"
-    return f"{name} is {text!r}: not a finite number"
+    return f"{name} is {text!r}: not a finite number; correct it, or delete the row"
+
+
+def _unit(name: str) -> str:
+    """What a column of ours is in, by its name."""
+    units = {"dbm": "in dBm", "m": "in metres", "deg": "in degrees"}
+    return units.get(name.rpartition("_")[2], "without a unit")
 
 
 def read_table(
-    path: Path, *, names: Mapping[str, str] | None = None, where: Mapping[str, str] | None = None
+    path: Path,
+    *,
+    names: Mapping[str, str] | None = None,
+    where: Mapping[str, str] | None = None,
+    text: str | None = None,
 ) -> Table:
     """Read a CSV (comma, semicolon or tab). `names`: ours to theirs. `where`: keep rows with these values.
 
-    Raises `DataError` naming file and line.
+    `text` is read in place of the file, which then only gives its name. Raises `DataError` naming file and line.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
+        with path.open(newline="", encoding="utf-8-sig") if text is None else io.StringIO(text) as stream:
             header_line = stream.readline()
             stream.seek(0)
             rows = csv.reader(stream, delimiter=_delimiter(header_line))
@@ -104,6 +118,8 @@ def read_table(
             body, lines = _body(path, rows, header)
     except FileNotFoundError:
         raise DataError(f"{path}: no such file; name a CSV of readings (see docs/calibration.md)") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}; name a CSV of readings") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"{path}: is not a text table: {error}") from error
     if not header or not any(header):
@@ -111,6 +127,15 @@ def read_table(
     columns, others = _named(path, header, body, names or {})
     table = Table(path, columns, others, lines)
     return _filter(table, where) if where else table
+
+
+def as_csv(header: list[str], rows: list[Any]) -> str:
+    """The text of a CSV."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return stream.getvalue()
 
 
 def _delimiter(header: str) -> str:

@@ -103,9 +103,29 @@ def _soft(mean_dbm: FloatArray, sigma_db: float, readings: Readings, weakest: fl
         options={"xatol": 1e-3, "fatol": 1e-4, "maxiter": 300},
     )
     zeta, jitter = float(found.x[0]), float(HARD_JITTER_DB + np.exp(found.x[1]))
-    step = 0.25
     value = -float(found.fun)
-    curve = (2.0 * value - counts.value(zeta + step, jitter) - counts.value(zeta - step, jitter)) / step**2
-    if not np.isfinite(curve) or curve <= 0.0 or jitter > 8.0:
+    error = _error(counts, zeta, jitter)
+    if error is None or jitter > 8.0:
         return None
-    return _Try(zeta, jitter, value, error=float(1.0 / np.sqrt(curve)))
+    return _Try(zeta, jitter, value, error=error)
+
+
+def _error(counts: _Counts, zeta: float, jitter: float, step: float = 0.25) -> float | None:
+    """Standard error of zeta from the likelihood's curvature, the jitter not being known either."""
+    h = step * np.array([1.0, min(1.0, jitter / (2.0 * step))])
+
+    def at(i: int, k: int) -> float:
+        return counts.value(zeta + i * h[0], jitter + k * h[1])
+
+    middle = at(0, 0)
+    bend = np.array(
+        [
+            [(at(1, 0) - 2.0 * middle + at(-1, 0)) / h[0] ** 2, 0.0],
+            [0.0, (at(0, 1) - 2.0 * middle + at(0, -1)) / h[1] ** 2],
+        ]
+    )
+    bend[0, 1] = bend[1, 0] = (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / (4.0 * h[0] * h[1])
+    information = -bend
+    if not np.all(np.isfinite(information)) or np.linalg.eigvalsh(information).min() <= 0.0:
+        return None
+    return float(np.sqrt(np.linalg.inv(information)[0, 0]))

@@ -46,6 +46,7 @@ def judge(result: FitResult) -> Judgement:
     refusals: list[str] = []
     warnings = list(result.readings.warnings)
     _coordinates(result, refusals, warnings)
+    _units(result, refusals)
     _amount(result, refusals, warnings)
     _exponent(result, refusals, warnings)
     _missed(result, refusals, warnings)
@@ -60,6 +61,12 @@ def _coordinates(result: FitResult, refusals: list[str], warnings: list[str]) ->
         refusals.append(f"it looks as if {what}: the readings fit much better that way; correct the file")
     elif what:
         warnings.append(f"the readings fit somewhat better as if {what}; check the file")
+
+
+def _units(result: FitResult, refusals: list[str]) -> None:
+    what = diagnose.mixed_units(result)
+    if what:
+        refusals.append(f"it looks as if {what}: give all distances in metres")
 
 
 def _amount(result: FitResult, refusals: list[str], warnings: list[str]) -> None:

@@ -5,14 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from calibration.collect import Beacon, collect, parse_answer
+from calibration.cli import app
+from calibration.collect import Beacon, Collector, parse_answer
 from calibration.collection import Packet, Place, from_csv, packets_from, still_missing, to_csv
 from calibration.dataset import read_readings
 from calibration.fit import fit
+from calibration.importing import csv_from_recording
+from calibration.journal import Journal, free_path, metadata, places_of
+from calibration.whereabouts import Whereabouts
 from fieldkit.clock import VirtualClock
-from fieldkit.errors import DataError, DeviceError
-from fieldkit.messages import ReceiverState, RssReading
+from fieldkit.errors import ConfigError, DataError, DeviceError
+from fieldkit.messages import Pose, ReceiverState, RssReading, VehicleState
+from fieldkit.recording import RecordingWriter, open_recording
 
 SECOND = 1_000_000_000
 
@@ -72,12 +78,22 @@ def operator(receiver, answers):
     return ask
 
 
-def run(out: Path, answers, **more):
+def run(out: Path, answers, *, journal=None, headings=(), ask=None, where=None, **more):
     clock = SteppedClock(100 * SECOND)
     receiver = FakeReceiver(clock, **more)
     said: list[str] = []
-    beacon = Beacon(1.0, 15, source="beacon")
-    places = asyncio.run(collect(receiver, clock, beacon, out, operator(receiver, answers), said.append))
+    collector = Collector(
+        receiver,
+        clock,
+        Beacon(1.0, 15, source="beacon"),
+        out,
+        ask or operator(receiver, answers),
+        said.append,
+        journal,
+        where and where(clock, receiver),
+        headings,
+    )
+    places = asyncio.run(collector.run())
     assert not receiver.open
     return places, said
 
@@ -99,7 +115,7 @@ def test_an_interrupted_collection_is_gone_on_with(tmp_path):
     run(out, ["1 0", "2 90", "q"])
     places, said = run(out, ["u", "far", "3", "4 180", "q"])
     assert [(p.distance_m, p.heading_deg) for p in places] == [(1.0, 0.0), (4.0, 180.0)]
-    assert "going on after 2 places" in said[0]
+    assert "going on after 2 places" in said[0] and "still wanted" in said[1]
     assert any("is not a distance" in line for line in said)
     assert any("at every place or at none" in line for line in said)
     assert len(from_csv(out)) == 2
@@ -143,3 +159,165 @@ def test_somebody_elses_file_is_not_written_over(tmp_path):
     (tmp_path / "r.csv").write_text("a,b\n1,2\n")
     with pytest.raises(DataError, match="was not written by"):
         from_csv(tmp_path / "r.csv")
+
+
+class FakeRover:
+    """A vehicle's link: stands where told, and says so five times a second of the test's clock."""
+
+    robots = ("r1", "other")
+
+    def __init__(self, clock, receiver, late_s=0.0):
+        self.clock, self.receiver, self.late_s = clock, receiver, late_s
+        self.east_m, self.drift_m_s, self.silent, self.open = 0.0, 0.0, False, False
+
+    async def __aenter__(self):
+        self.open = True
+        return self
+
+    async def __aexit__(self, *error):
+        self.open = False
+
+    async def events(self):
+        while True:
+            now_ns = self.clock.now_ns()
+            while self.clock.now_ns() == now_ns:  # noqa: ASYNC110 the clock has no event to wait for
+                await asyncio.sleep(0)
+            self.east_m += self.drift_m_s
+            self.receiver.distance_m = max(0.1, abs(self.east_m))
+            stamp = self.clock.now_ns() - round(self.late_s * SECOND)
+            yield VehicleState(stamp, "r1", "hold", False)
+            yield Pose(stamp, "other", 99.0, 99.0)
+            if not self.silent:
+                yield Pose(stamp, "r1", self.east_m, 0.0, heading_deg=0.0, sigma_m=0.02)
+
+    def beat(self): ...
+    async def take_over(self, robot): ...
+    async def goto(self, robot, waypoint): ...
+    async def hold(self, robot): ...
+    async def return_home(self, robot): ...
+
+
+def tracked(out, steps, transmitter=None, late_s=0.0, **more):
+    """Answers, each with what happens to the rover before it is given."""
+    rover: list[FakeRover] = []
+
+    def where(clock, receiver):
+        rover.append(FakeRover(clock, receiver, late_s))
+        return Whereabouts("r1", rover[0], transmitter)
+
+    queue = list(steps)
+
+    def ask(question):
+        answer, changes = queue.pop(0)
+        for name, value in changes.items():
+            setattr(rover[0], name, value)
+        return answer
+
+    places, said = run(out, [], ask=ask, where=where, **more)
+    assert not rover[0].open
+    return places, said
+
+
+def test_places_are_read_from_telemetry(tmp_path):
+    steps = [("", {}), ("t", {}), ("", {"east_m": 3.0}), ("", {"east_m": -2.0}), ("q", {})]
+    places, said = tracked(tmp_path / "r.csv", steps)
+    assert "place is not known" in said[0] and "the transmitter is at 0.00 m east" in said[1]
+    # Looking north, the transmitter to the west is on the left: 270 degrees clockwise; from the west, 90.
+    assert [(p.distance_m, p.heading_deg) for p in places] == [(3.0, 270.0), (2.0, 90.0)]
+    assert read_readings(tmp_path / "r.csv").n_places == 2
+
+
+def test_a_rover_that_moves_is_silent_or_stands_at_the_transmitter_gives_no_place(tmp_path):
+    steps = [
+        ("", {"east_m": 3.0, "drift_m_s": 0.2}),
+        ("", {"drift_m_s": 0.0, "silent": True}),
+        ("", {"silent": False, "east_m": 0.0}),
+        ("what", {}),
+        ("q", {}),
+    ]
+    places, said = tracked(tmp_path / "r.csv", steps, transmitter=(0.0, 0.0))
+    text = " / ".join(said)
+    assert places == []
+    assert "moved by" in text and "no position came" in text and "stands at the transmitter" in text
+    assert "'what' is no answer" in text
+
+
+def test_positions_stamped_by_another_clock_are_noticed(tmp_path):
+    steps = [("", {"east_m": 3.0}), ("q", {})]
+    _, said = tracked(tmp_path / "r.csv", steps, transmitter=(0.0, 0.0), late_s=7.0)
+    assert any("-7.0 s from this computer's clock" in line for line in said)
+
+
+def test_the_antenna_is_turned_through_headings_at_each_place(tmp_path):
+    out = tmp_path / "r.csv"
+    places, _ = run(out, ["2", "", "s", "", "", "4", "", "", "", "", "q"], headings=(0.0, 90.0, 180.0, 270.0))
+    assert [(p.name, p.heading_deg) for p in places] == [
+        *(("p01", h) for h in (0.0, 180.0, 270.0)),
+        *(("p02", h) for h in (0.0, 90.0, 180.0, 270.0)),
+    ]
+    assert from_csv(out) == places
+    assert read_readings(out).n_places == 2
+
+
+def test_a_recording_of_the_collection_gives_the_same_readings(tmp_path):
+    log, out = tmp_path / "r.mcap", tmp_path / "r.csv"
+    with RecordingWriter(log, metadata=metadata("beacon", 1.0, 15)) as writer:
+        run(out, ["1", "2", "u", "3", "q"], journal=Journal(writer))
+    recording = open_recording(log)
+    assert places_of(recording) == from_csv(out)
+    assert csv_from_recording(log)[0] == out.read_text()
+    assert sum(isinstance(event, RssReading) for _, _, event in recording.events()) > 60
+
+
+def test_a_second_recording_holds_what_the_first_run_collected(tmp_path):
+    out = tmp_path / "r.csv"
+    for answers in (["1", "2", "q"], ["u", "3", "q"]):
+        log = free_path(out.with_suffix(".mcap"))
+        with RecordingWriter(log, metadata=metadata("beacon", 1.0, 15)) as writer:
+            run(out, answers, journal=Journal(writer))
+    assert log.name == "r-2.mcap"
+    assert csv_from_recording(log)[0] == out.read_text()
+
+
+def test_sequence_numbers_count_packets_that_time_alone_would_misplace():
+    # Three numbers later after two periods and a half: the beacon's clock is fast, and two packets were missed.
+    def reading(t_s, number):
+        return RssReading(round(t_s * SECOND), "r1", -60.0 - number % 7, frame_id=f"1234:0001/{number:02x}")
+
+    heard = [
+        reading(0.0, 0xFE),
+        reading(0.85, 0xFF),
+        reading(1.7, 0x00),
+        reading(4.2, 0x03),
+        reading(5.95, 0x05),
+    ]
+    levels = [p.rss_dbm for p in packets_from(heard, 0, 1.0, 8)]
+    assert [level is None for level in levels] == [False, False, False, True, True, False, True, False]
+
+
+def test_a_restarted_sequence_number_falls_back_to_time():
+    heard = [
+        RssReading(t * SECOND, "r1", -60.0, frame_id=f"1:2/{n:02x}") for t, n in ((0, 0), (1, 1), (2, 0x81))
+    ]
+    assert len(packets_from(heard, 0, 1.0, 4)) == 4
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--positions", "camera", "--address", "0"], "no source of positions is installed"),
+        (["--vehicle", "mavlink", "--address", "udpin:127.0.0.1:0"], "--origin"),
+        (["--vehicle", "mavlink"], "--address"),
+        (["--period-s", "0"], "--period-s"),
+        (["--receiver", "nothing"], "no 'nothing'"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_before_anything_is_opened(tmp_path, options, says, monkeypatch):
+    from fieldkit import plugins
+
+    known = plugins.names
+    monkeypatch.setattr(plugins, "names", lambda group: [] if group == "fieldkit.positions" else known(group))
+    out = tmp_path / "r.csv"
+    result = CliRunner().invoke(app, ["collect", "-o", str(out), "--set", "port=/dev/null", *options])
+    assert isinstance(result.exception, ConfigError) and says in str(result.exception)
+    assert list(tmp_path.iterdir()) == []

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration import study
+from calibration import bench, study
 from calibration.dataset import from_arrays, read_readings
 from calibration.fit import Options, fit
 from calibration.verdict import judge
@@ -45,12 +45,25 @@ def test_ignoring_what_was_missed_would_be_badly_wrong():
 
 
 def test_bias_is_small_and_intervals_cover_the_truth():
-    report = study.run(trials=24, seed=5)
-    for name, said in report.items():
+    heard = []
+    report = study.run(trials=24, seed=5, progress=lambda done, text: heard.append(done))
+    for name in study.CONDITIONS:
+        said = report[name]
         assert abs(said["bias"]["path_loss_exponent"]) < 0.02, name
         assert abs(said["bias"]["power_at_1m_dbm"]) < 0.15, name
         assert abs(said["bias"]["threshold_dbm"]) < 0.15, name
         assert np.mean(list(said["coverage"].values())) > 0.88, name
+        assert said["missed"] == pytest.approx(0.11, abs=0.01)
+        assert said["saturated"] == pytest.approx(0.21, abs=0.02)
+    assert report["plain"]["threshold_exact"] > 0.8
+    assert heard[-1] == 1.0 and heard == sorted(heard)
+
+
+def test_the_benchmark_measures_the_fit_and_least_squares_on_the_same_readings():
+    said = bench._measure(40, 5, 0.05, 1)
+    assert said["readings"] == 200 and said["distinct_rows"] > 150
+    assert said["fit_s"] > 0.0 and said["least_squares_s"] > 0.0
+    assert abs(said["exponent_error"]) < abs(said["least_squares_exponent_error"])
 
 
 def test_shadowing_widens_the_intervals_far_beyond_the_naive_ones():

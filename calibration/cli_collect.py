@@ -1,0 +1,121 @@
+"""`fieldkit calibrate collect`: which receiver, which beacon, where positions come from."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calibration.options import headings, pairs
+from fieldkit.errors import ConfigError
+
+
+def collect(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="The CSV to fill; an unfinished one is gone on with.")
+    ],
+    receiver: Annotated[str, typer.Option(help="Receiver driver, as in mission.toml.")] = "xbee",
+    setting: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Option of the driver, as port=/dev/ttyUSB0; repeatable."),
+    ] = None,
+    name: Annotated[str, typer.Option(help="What to call this receiver in the file.")] = "r1",
+    period_s: Annotated[float, typer.Option(help="Time between the transmitter's packets.")] = 0.5,
+    packets: Annotated[int, typer.Option(min=1, help="Packets to wait for at each place.")] = 20,
+    beacon: Annotated[str, typer.Option(help="The transmitter's address; empty counts every sender.")] = "",
+    turns: Annotated[
+        int, typer.Option(min=0, help="Ask for the antenna to be turned to so many headings at each place.")
+    ] = 0,
+    vehicle: Annotated[
+        str,
+        typer.Option(
+            help="Read positions from a vehicle: its driver, as mavlink. Needs --address, --origin."
+        ),
+    ] = "",
+    positions: Annotated[
+        str, typer.Option(help="Read positions from another source, as camera. Needs --address.")
+    ] = "",
+    address: Annotated[str, typer.Option(help="Where vehicle or camera are, as udpin:0.0.0.0:14550.")] = "",
+    vehicle_setting: Annotated[
+        list[str] | None,
+        typer.Option("--vehicle-set", help="Option of vehicle or camera, as system_id=1; repeatable."),
+    ] = None,
+    origin: Annotated[
+        tuple[float, float], typer.Option(help="The field's origin, latitude and longitude.")
+    ] = (0.0, 0.0),
+    transmitter: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Where the transmitter stands, east and north of the origin in metres."),
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="The recording of everything heard (MCAP); else beside --out.")
+    ] = None,
+) -> None:
+    """Collect readings place by place with a real receiver, counting the packets that do not arrive.
+
+    Writes a CSV to fit, whole after every place, and a recording (MCAP) of everything heard beside it.
+    Interrupted, it goes on with the CSV when started again.
+
+    Example: fieldkit calibrate collect -o readings.csv --set port=/dev/ttyUSB0 --period-s 0.5
+    """
+    import asyncio
+
+    from calibration import journal
+    from calibration.collect import Beacon, Collector
+    from calibration.whereabouts import Whereabouts, by_position_source, by_telemetry
+    from fieldkit import plugins
+    from fieldkit.clock import RealClock
+    from fieldkit.geo import FieldFrame
+    from fieldkit.ports import Surroundings
+    from fieldkit.recording import RecordingWriter
+
+    if not period_s > 0.0:
+        raise ConfigError(f"--period-s: expected a time above zero, got {period_s}")
+    if vehicle and positions:
+        raise ConfigError("--vehicle and --positions: positions come from one of them; leave one out")
+    if (vehicle or positions) and not address:
+        raise ConfigError("--address: where is it? as udpin:0.0.0.0:14550 for a vehicle's telemetry")
+    if (vehicle or positions) and turns:
+        raise ConfigError(
+            "--turns: with --vehicle or --positions the heading is measured; turn the robot instead"
+        )
+    if vehicle and origin == (0.0, 0.0):
+        raise ConfigError("--origin: give latitude and longitude of some point of the field, within a few km")
+    clock = RealClock()
+    around = Surroundings(clock, FieldFrame(*origin))
+    opened = plugins.load("fieldkit.receivers", receiver)(name, pairs(setting), around)
+    where = None
+    if vehicle:
+        link = by_telemetry(vehicle, address, name, pairs(vehicle_setting), around)
+        where = Whereabouts(name, link, transmitter)
+    elif positions:
+        source = by_position_source(positions, address, name, pairs(vehicle_setting), around)
+        where = Whereabouts(name, source, transmitter)
+    log = journal.free_path(out.with_suffix(".mcap")) if record is None else record
+    said = journal.metadata(beacon, period_s, packets)
+    with RecordingWriter(log, start_ns=clock.now_ns(), metadata=said) as writer:
+        collector = Collector(
+            opened,
+            clock,
+            Beacon(period_s, packets, beacon),
+            out,
+            _ask,
+            typer.echo,
+            journal.Journal(writer),
+            where,
+            headings(turns),
+            _show if sys.stdout.isatty() else lambda text: None,
+        )
+        places = asyncio.run(collector.run())
+    count = len({place.name for place in places})
+    typer.echo(f"{out}: {count} places; recording: {log}")
+    typer.echo(f"now: fieldkit calibrate fit {out} -o antenna.toml --report report.html")
+
+
+def _ask(question: str) -> str:
+    return str(typer.prompt(question, default="", show_default=False))
+
+
+def _show(text: str) -> None:
+    """On the same line of the terminal, over what stood there."""
+    typer.echo(f"\r{text:<78}\r", nl=False)
