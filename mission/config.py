@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from fieldkit import plugins
 from fieldkit.antenna.file import AntennaFile, read_antenna
 from fieldkit.engine.grid import Grid
+from fieldkit.engine.keepout import KeepOut
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.geo import FieldFrame
@@ -33,6 +34,15 @@ class FieldTable(_Table):
     size_east_m: float = Field(gt=0, le=100_000)
     size_north_m: float = Field(gt=0, le=100_000)
     cell_m: float = Field(gt=0)
+    keep_out: tuple[tuple[tuple[float, float], ...], ...] = ()
+    """Polygons of (east, north) that no robot may enter."""
+
+    @model_validator(mode="after")
+    def _polygons(self) -> "FieldTable":
+        for polygon in self.keep_out:
+            if len(polygon) < 3:
+                raise ValueError(f"keep_out: a polygon needs at least 3 corners, got {len(polygon)}")
+        return self
 
     @model_validator(mode="after")
     def _not_too_many_cells(self) -> "FieldTable":
@@ -278,6 +288,7 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         min_separation_m=file.safety.min_separation_m,
         fence_margin_m=file.safety.fence_margin_m,
         pose_sigma_m=file.engine.pose_sigma_m,
+        keep_out=KeepOut(field.keep_out),
         seed=file.seed,
         prior_rule=file.engine.prior_rule,
         sensing=file.engine.sensing,
@@ -302,6 +313,7 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         max_leg_m=file.safety.max_leg_m,
         pose_timeout_s=file.safety.pose_timeout_s,
         min_separation_m=file.safety.min_separation_m,
+        keep_out=engine.keep_out,
     )
     frame = FieldFrame(field.origin_lat_deg, field.origin_lon_deg, field.origin_alt_m)
     return Mission(file, text, antenna_text, antenna, frame, kernel, safety, where)

@@ -5,6 +5,7 @@ Rules, in the order they are asked:
 - operator's hold or return stands until resumed;
 - a robot whose link is down, whose pose is older than the limit, or that is not ours to steer gets `Hold`;
 - a target that is not finite gets `Hold`; one beyond the fence is drawn back to it, one beyond the longest leg too;
+- a way that crosses ground to be kept out of gets `Hold`;
 - no faster than the limit;
 - robots nearer to each other than half the separation: the later-named one holds until the gap has opened.
 
@@ -14,6 +15,9 @@ Every intervention carries its reason. A hold is repeated until the vehicle says
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from fieldkit.engine.keepout import NOWHERE, KeepOut
 from fieldkit.messages import (
     Command,
     EndMission,
@@ -44,6 +48,7 @@ class SafetySettings:
     max_leg_m: float = 1_000.0
     pose_timeout_s: float = 2.0
     min_separation_m: float = 0.5
+    keep_out: KeepOut = NOWHERE
 
 
 @dataclass(slots=True)
@@ -158,6 +163,11 @@ class Safety:
             return f"its link is down: {robot.vehicle.text}".rstrip(": ")
         if robot.moving and self._outside(robot.pose):
             return f"it is outside the fence, at {robot.pose.east_m:.1f} m east, {robot.pose.north_m:.1f} m north"
+        if (
+            robot.moving
+            and self.settings.keep_out.contains(np.array([[robot.pose.east_m, robot.pose.north_m]]))[0]
+        ):
+            return "it has entered ground it must keep out of"
         if robot.moving and robot.too_near:
             return f"it is nearer than {0.5 * self.settings.min_separation_m:.2f} m to another robot"
         return ""
@@ -186,7 +196,11 @@ class Safety:
             return Hold(command.t_ns, command.robot, f"its position is {age_s:.1f} s old")
         if robot.vehicle is not None and not robot.vehicle.link_up:
             return Hold(command.t_ns, command.robot, "its link is down")
-        return GoTo(command.t_ns, command.robot, self._tame(target, robot.pose))
+        tame = self._tame(target, robot.pose)
+        here = np.array([[robot.pose.east_m, robot.pose.north_m]])
+        if self.settings.keep_out.blocks(here, np.array([[tame.east_m, tame.north_m]]))[0]:
+            return Hold(command.t_ns, command.robot, "its way crosses ground it must keep out of")
+        return GoTo(command.t_ns, command.robot, tame)
 
     def _tame(self, target: Waypoint, pose: Pose) -> Waypoint:
         """The way-point within leg, fence and speed; unchanged when it is already."""

@@ -66,6 +66,7 @@ origin_lon_deg = {origin_deg[1]:.6f}
 size_east_m = {size_m:.1f}
 size_north_m = {size_m:.1f}
 cell_m = {cell_m}                 # about a fifth of the shortest range is a good cell
+# keep_out = [[[3.0, 3.0], [5.0, 3.0], [5.0, 6.0]]]  # polygons of (east, north) in metres no robot may enter
 
 [antenna]
 file = "{antenna}"        # relative to this file; written by 'fieldkit calibrate fit'

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from fieldkit.antenna.model import Antenna
 from fieldkit.engine.grid import Grid
+from fieldkit.engine.keepout import NOWHERE, KeepOut
 from fieldkit.errors import ConfigError
 
 
@@ -30,6 +31,8 @@ class EngineSettings:
     """No two robots are planned closer than this."""
     fence_margin_m: float = 0.2
     """Way-points keep this far inside the field's border."""
+    keep_out: KeepOut = NOWHERE
+    """Ground no path may cross."""
     pose_sigma_m: float = 0.05
     """Standard deviation of each coordinate of the robots' positions."""
     seed: int = 0

@@ -22,8 +22,8 @@ from fieldkit.errors import ConfigError
 from fieldkit.messages import FloatArray, Plan
 
 HORIZON_PERIODS = 1.5
-GROUND_PATHS = 28
-PATHS_PER_CANDIDATE = 12
+GROUND_PATHS = 40
+PATHS_PER_CANDIDATE = 16
 MAX_CANDIDATES = 6
 SAMPLES = 16
 STEP_S = 1.5
@@ -142,6 +142,11 @@ class InfoGainPlanner:
         worth = 0.3 if candidate.state == "doubtful" else 1.0
         return worth * (RESOLVE_VALUE * done + RECEPTION_VALUE * received)
 
+    def _blocked(self, corners_m: FloatArray) -> bool:
+        """Whether a robot's way along corners (legs, m, 2) crosses ground to be kept out of."""
+        before, after = corners_m[:-1].reshape(-1, 2), corners_m[1:].reshape(-1, 2)
+        return bool(self.settings.keep_out.blocks(before, after).any())
+
     def _clear(self, one: FloatArray, other: FloatArray) -> bool:
         """Whether two tracks keep the separation at every step after the first few, when they may yet part."""
         steps = min(one.shape[0], other.shape[0])
@@ -173,6 +178,8 @@ class InfoGainPlanner:
             places = abreast(
                 np.asarray(corners, dtype=float), start, spacing_m, self.grid, self.settings.fence_margin_m
             )
+            if self._blocked(np.concatenate([start[None], places])):
+                return
             route = track(places, start, self.settings.max_speed_m_s, STEP_S, horizon_s)
             options.append(_Option(purpose, places, route))
 
