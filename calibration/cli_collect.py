@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calibration.options import headings, pairs
+from calibration.options import headings, settings
 from fieldkit.errors import ConfigError
 
 
@@ -83,14 +83,14 @@ def collect(
         raise ConfigError("--origin: give latitude and longitude of some point of the field, within a few km")
     clock = RealClock()
     around = Surroundings(clock, FieldFrame(*origin))
-    opened = plugins.load("fieldkit.receivers", receiver)(name, pairs(setting), around)
     where = None
     if vehicle:
-        link = by_telemetry(vehicle, address, name, pairs(vehicle_setting), around)
+        link = by_telemetry(vehicle, address, name, settings(vehicle_setting), around)
         where = Whereabouts(name, link, transmitter)
     elif positions:
-        source = by_position_source(positions, address, name, pairs(vehicle_setting), around)
+        source = by_position_source(positions, address, name, settings(vehicle_setting), around)
         where = Whereabouts(name, source, transmitter)
+    opened = plugins.load("fieldkit.receivers", receiver)(name, settings(setting), around)
     log = journal.free_path(out.with_suffix(".mcap")) if record is None else record
     said = journal.metadata(beacon, period_s, packets)
     with RecordingWriter(log, start_ns=clock.now_ns(), metadata=said) as writer:
@@ -108,8 +108,9 @@ def collect(
         )
         places = asyncio.run(collector.run())
     count = len({place.name for place in places})
-    typer.echo(f"{out}: {count} places; recording: {log}")
-    typer.echo(f"now: fieldkit calibrate fit {out} -o antenna.toml --report report.html")
+    typer.echo(f"{out}: {count} place{'s' * (count != 1)}; recording: {log}")
+    if count:
+        typer.echo(f"now: fieldkit calibrate fit {out} -o antenna.toml --report report.html")
 
 
 def _ask(question: str) -> str:

@@ -65,7 +65,7 @@ class Collector:
         """
         self.places = await asyncio.to_thread(_already, self.out)
         if self.places:
-            self.say(f"{self.out}: going on after {_count(self.places)} places")
+            self.say(f"{self.out}: going on after {_plural(self.places)}")
             for wish in still_missing(self.places):
                 self.say(f"  still wanted: {wish}")
         for place in self.places:
@@ -213,6 +213,11 @@ class Collector:
             self.inbox.append(event)
             if self.journal is not None:
                 self.journal.event(self.clock.now_ns(), event)
+
+
+def _plural(places: Sequence[Place]) -> str:
+    count = _count(places)
+    return f"{count} place{'s' * (count != 1)}"
 
 
 def _count(places: Sequence[Place]) -> int:

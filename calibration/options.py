@@ -1,5 +1,8 @@
 """Options of the commands that need parsing of their own."""
 
+import tomllib
+from typing import Any
+
 from fieldkit.errors import ConfigError
 
 
@@ -12,6 +15,19 @@ def pairs(texts: list[str] | None) -> dict[str, str]:
             raise ConfigError(f"expected NAME=VALUE, got '{text}'")
         found[name.strip()] = value.strip()
     return found
+
+
+def settings(texts: list[str] | None) -> dict[str, Any]:
+    """NAME=VALUE for a driver: numbers, true and false as in mission.toml, anything else as text."""
+    return {name: _value(text) for name, text in pairs(texts).items()}
+
+
+def _value(text: str) -> Any:
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+    return value if isinstance(value, bool | int | float) else text
 
 
 def headings(count: int) -> tuple[float, ...]:

@@ -42,6 +42,9 @@ only the strong ones were heard, the points lie above zero although the fit is r
 <img alt="residuals against {{ title }}" src="data:image/png;base64,{{ picture }}">{% endfor %}
 <h2>How sure each parameter is</h2>
 <p>How much worse the fit gets as a parameter moves away, others adjusting; at 1 the 95 % interval ends.</p>
+<p>So got, the 95 % intervals are {% for name, low, high in ends %}<code>{{ name }}</code> {{ low }} to {{ high }}
+{{- "; " if not loop.last else "." }}{% endfor %} Where they differ from those above, few places or much censoring make
+the likelihood lopsided: trust these.</p>
 <img alt="profiles" src="data:image/png;base64,{{ profiles }}">
 </html>
 """
@@ -67,6 +70,10 @@ def _row(result: FitResult, name: str, unit: str, meaning: str) -> tuple[str, st
     if low == high:
         return name, value, "exact", f"{meaning}; a whole number that the missed packets leave no doubt about"
     return name, value, f"{low:.2f} to {high:.2f}", meaning
+
+
+def _end(value: float) -> str:
+    return f"{value:.2f}" if np.isfinite(value) else "without end"
 
 
 def _shape(pattern: Pattern) -> str:
@@ -101,6 +108,7 @@ def report_html(result: FitResult, judgement: Judgement, pattern: Pattern | None
         rows.append(
             (f"receiver {receiver}", f"{value:+.1f} dB", interval, f"how much more than {first} it reports")
         )
+    curves = [profile(result, name) for name, _, _ in _PARAMETERS[:3]]
     split = ""
     if result.sigma_time_db is not None and result.sigma_place_db is not None:
         split = (
@@ -122,9 +130,8 @@ def report_html(result: FitResult, judgement: Judgement, pattern: Pattern | None
             sha=result.readings.sha256 or "not known",
             left_out=_left_out(result),
             counts=f"{result.n_readings} readings, {result.n_missed} missed, {result.n_places} places.",
-            profiles=b64encode(
-                plots.profile_png([profile(result, row[0]) for row in _PARAMETERS[:3]])
-            ).decode(),
+            profiles=b64encode(plots.profile_png(curves)).decode(),
+            ends=[(curve.name, *map(_end, curve.interval_95)) for curve in curves],
             polar="" if pattern is None else b64encode(plots.polar_png(pattern)).decode(),
             shape="" if pattern is None else _shape(pattern),
             fit=b64encode(plots.fit_png(result)).decode(),

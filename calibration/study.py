@@ -44,7 +44,8 @@ def run(
 ) -> dict[str, Any]:
     """Bias of each parameter and how often its 95 % interval holds the truth, for each of `CONDITIONS`.
 
-    `progress` is told the share done and a few words. `within_limits`: whether what is promised is kept.
+    `progress` is told the share done and a few words. `within_limits`: whether what is promised is kept;
+    with 200 trials coverage varies by 3 % by chance, which `within_limits_but_for_chance` allows for.
     """
     report: dict[str, Any] = {"trials": trials, "seed": seed, "chance_of_coverage": _chance(trials)}
     for number, name in enumerate(CONDITIONS):
@@ -53,7 +54,8 @@ def run(
             tally.add(trial, seed)
             progress((number + (trial + 1) / trials) / len(CONDITIONS), f"{name}: {trial + 1} of {trials}")
         report[name] = tally.report()
-    report["within_limits"] = all(report[name]["within_limits"] for name in CONDITIONS)
+    for word in ("within_limits", "within_limits_but_for_chance"):
+        report[word] = all(report[name][word] for name in CONDITIONS)
     return report
 
 
@@ -103,15 +105,16 @@ class _Tally:
             "coverage": coverage,
             # A sharp threshold is a whole number that is usually recovered exactly: its interval is a point.
             "threshold_exact": float(np.mean([error == 0.0 for error in self.errors["threshold_dbm"]])),
-            "within_limits": self._within(bias, coverage),
+            "within_limits": self._within(bias, coverage, 0.0),
+            "within_limits_but_for_chance": self._within(bias, coverage, _chance(len(self.missed))),
         }
 
-    def _within(self, bias: dict[str, float], coverage: dict[str, float]) -> bool:
+    def _within(self, bias: dict[str, float], coverage: dict[str, float], slack: float) -> bool:
         """A sharp threshold's coverage may be too good."""
         small = abs(bias["path_loss_exponent"]) <= EXPONENT_BIAS
         small &= abs(bias["power_at_1m_dbm"]) <= POWER_BIAS_DB
         exact = {"threshold_dbm"} if self.jitter_db == 0.0 else set()
-        low, high = COVERAGE
+        low, high = COVERAGE[0] - slack, COVERAGE[1] + slack
         return small and all(
             low <= value <= (1.0 if key in exact else high) for key, value in coverage.items()
         )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from fieldkit import plugins
+from fieldkit.antenna.model import MIN_RANGE_M
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Pose, VehicleState
 from fieldkit.ports import PositionSource, Surroundings, VehicleLink
@@ -77,8 +78,10 @@ class Whereabouts:
             return stood
         east, north = np.subtract(self.transmitter_m, stood)
         distance = float(np.hypot(east, north))
-        if distance <= 0.0:
-            return "the robot stands at the transmitter: move it away"
+        if distance <= max(MIN_RANGE_M, 2.0 * max(pose.sigma_m for pose in poses)):
+            return (
+                f"{distance:.2f} m from the transmitter, which its positions cannot tell from none: move away"
+            )
         bearing = float(np.degrees(np.arctan2(east, north)))
         return Spot(distance, (bearing - poses[-1].heading_deg) % 360.0)
 

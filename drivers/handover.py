@@ -43,6 +43,12 @@ class Handover(Generic[Item]):
             self._closed = True
         self._wake.set()
 
+    def close_soon(self) -> None:
+        """As `close`, from any thread."""
+        with self._lock:
+            self._closed = True
+        self._loop.call_soon_threadsafe(self._wake.set)
+
     async def items(self) -> AsyncIterator[Item]:
         """Items in the order they were put, until closed."""
         while True:

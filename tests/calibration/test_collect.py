@@ -14,6 +14,7 @@ from calibration.dataset import read_readings
 from calibration.fit import fit
 from calibration.importing import csv_from_recording
 from calibration.journal import Journal, free_path, metadata, places_of
+from calibration.options import settings
 from calibration.whereabouts import Whereabouts
 from fieldkit.clock import VirtualClock
 from fieldkit.errors import ConfigError, DataError, DeviceError
@@ -238,7 +239,7 @@ def test_a_rover_that_moves_is_silent_or_stands_at_the_transmitter_gives_no_plac
     places, said = tracked(tmp_path / "r.csv", steps, transmitter=(0.0, 0.0))
     text = " / ".join(said)
     assert places == []
-    assert "moved by" in text and "no position came" in text and "stands at the transmitter" in text
+    assert "moved by" in text and "no position came" in text and "cannot tell from none" in text
     assert "'what' is no answer" in text
 
 
@@ -300,6 +301,21 @@ def test_a_restarted_sequence_number_falls_back_to_time():
         RssReading(t * SECOND, "r1", -60.0, frame_id=f"1:2/{n:02x}") for t, n in ((0, 0), (1, 1), (2, 0x81))
     ]
     assert len(packets_from(heard, 0, 1.0, 4)) == 4
+
+
+def test_settings_are_numbers_where_they_look_like_numbers():
+    given = [
+        "system_id=1",
+        "baud=9600",
+        "rate=0.5",
+        "port=/dev/ttyUSB0",
+        "address=0013A200",
+        "sync=true",
+        "key=[1]",
+    ]
+    assert list(settings(given).values()) == [1, 9600, 0.5, "/dev/ttyUSB0", "0013A200", True, "[1]"]
+    with pytest.raises(ConfigError, match="NAME=VALUE"):
+        settings(["port"])
 
 
 @pytest.mark.parametrize(

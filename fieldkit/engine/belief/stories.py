@@ -26,7 +26,7 @@ def revise(mixture: "Mixture") -> bool:
     """Tell the story of a candidate afresh, as one source and as two; whether another story was better.
 
     Points dropped early and shares that vouch for each other can hold a candidate in a wrong place, or hold two
-    near sources together. A doubtful candidate is looked at with every reception, others ever more rarely. One
+    near sources together. A doubtful candidate is looked at again soon, others ever more rarely. One
     and two are compared on a point a cell; the better story is then told on the usual points.
     """
     changed = False
@@ -36,7 +36,7 @@ def revise(mixture: "Mixture") -> bool:
         if count < due or candidate.absorbed > 0.0:
             continue
         doubtful = candidate.state == "doubtful"
-        mixture.revise_at[candidate.ident] = count + 0.9 if doubtful else 1.4 * count
+        mixture.revise_at[candidate.ident] = max(count + 0.9, (1.1 if doubtful else 1.4) * count)
         share = {number: share for number, share in candidate.share.items() if share > 0.05}
         blank = _fresh(mixture, candidate, share, spacing=1.0)
         single = _alike(blank)
