@@ -91,13 +91,14 @@ class PatchFinder:
         if low < 0:
             mask |= cv2.inRange(hsv, (180 + low, LEAST_SATURATION, LEAST_VALUE), (180, 255, 255))
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, self._kernel)
+        left, top, width, height = cv2.boundingRect(mask)  # most of a picture has no patch in it
+        if not width:
+            return []
+        mask = np.ascontiguousarray(mask[top : top + height, left : left + width])
         count, _, boxes, middles = cv2.connectedComponentsWithStats(mask, connectivity=8)
         areas = boxes[:, cv2.CC_STAT_AREA]
-        return [
-            Blob(np.asarray(middles[n], dtype=float), float(areas[n]))
-            for n in range(1, count)
-            if 12 <= areas[n] <= 5000
-        ]
+        corner = np.array([left, top], dtype=float)
+        return [Blob(middles[n] + corner, float(areas[n])) for n in range(1, count) if 12 <= areas[n] <= 5000]
 
     def _belong(self, robot: str, ahead: FloatArray, behind: FloatArray, moved: Any) -> bool:
         front, rear = self._view.to_field(np.vstack([ahead, behind]))

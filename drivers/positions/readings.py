@@ -1,0 +1,88 @@
+"""Logs of readings of any kind: CSV, a fieldkit recording, an 802.15.4 capture."""
+
+from pathlib import Path
+
+from drivers.positions.table import number, read_table, timed
+from drivers.positions.tracks import ONLY
+from fieldkit.errors import DataError
+from fieldkit.messages import ReceiverState, RssReading
+
+Heard = RssReading | ReceiverState
+
+
+def read_readings(path: Path, robot: str = ONLY) -> list[Heard]:
+    """Readings and receivers' states, in order of time. `robot` names the receiver of a log without names.
+
+    Raises `DataError` where it is missing, of an unknown kind, or nothing was heard.
+    """
+    kinds = {".csv": _csv, ".mcap": _recording, ".pcap": _capture, ".pcapng": _capture}
+    reader = kinds.get(path.suffix.lower())
+    if reader is None:
+        raise DataError(f"{path}: expected one of {', '.join(kinds)}, got '{path.suffix}'")
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
+    heard = sorted(reader(path, robot), key=lambda item: item.t_ns)
+    if not any(isinstance(item, RssReading) for item in heard):
+        raise DataError(f"{path}: holds no reading of received strength")
+    return heard
+
+
+def _csv(path: Path, robot: str) -> list[Heard]:
+    """Rows whose strength is empty are packets that were not heard: silence says that already."""
+    table = read_table(path)
+    if "rss_dbm" not in table.names:
+        raise DataError(f"{path}: no column rss_dbm")
+    heard: list[Heard] = []
+    for line, t_ns, row in timed(table):
+        rss_dbm = number(row, "rss_dbm")
+        if rss_dbm is None or not -150.0 <= rss_dbm < 0.0:
+            if row["rss_dbm"]:
+                table.bad(line, f"{row['rss_dbm']!r} is no received power in dBm")
+            continue
+        channel = number(row, "channel")
+        heard.append(
+            RssReading(
+                t_ns,
+                row.get("robot") or robot,
+                rss_dbm,
+                "sim",
+                None if channel is None else int(channel),
+                row.get("frame_id") or None,
+            )
+        )
+    if table.skipped > len(heard):
+        raise DataError(f"{path}: {table.skipped} rows cannot be read; the first is {table.first_bad}")
+    return heard
+
+
+def _recording(path: Path, robot: str) -> list[Heard]:
+    from fieldkit.recording.reader import open_recording
+
+    return [
+        event
+        for _, _, event in open_recording(path).events()
+        if isinstance(event, RssReading | ReceiverState)
+    ]
+
+
+def _capture(path: Path, robot: str) -> list[Heard]:
+    import asyncio
+
+    return asyncio.run(_from_capture(path, robot))
+
+
+async def _from_capture(path: Path, robot: str) -> list[Heard]:
+    from drivers.sniffers.pcap import open_capture
+    from fieldkit.clock import RealClock
+    from fieldkit.geo import FieldFrame
+    from fieldkit.ports import Surroundings
+
+    heard: list[Heard] = []
+    around = Surroundings(RealClock(), FieldFrame(0.0, 0.0))
+    async with open_capture(robot, {"port": str(path)}, around) as receiver:
+        async for item in receiver.readings():
+            if isinstance(item, RssReading):
+                heard.append(item)
+            elif not item.up:
+                break
+    return heard
