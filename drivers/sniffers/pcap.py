@@ -34,6 +34,8 @@ READ_TIMEOUT_S = 0.1
 FIRST_WAIT_S = 5.0
 AGAIN_WAIT_S = 0.3
 """Wall time in which a pipe must show its first bytes, at first and when it is opened again."""
+CLOCK_BACK_NS = 1_000_000
+"""Packets of one capture may be this much out of order."""
 LOOK_AT = 5
 """Packets of type 195 looked at before deciding that their check bytes are real."""
 
@@ -64,6 +66,10 @@ class PcapReceiver(KeptReceiver):
         self._is_pipe = False
         self._thread: threading.Thread | None = None
         self._running = threading.Event()
+        self._pending: list[Packet] = []
+        self._damage = ""
+        self._last_ns = 0
+        self._went_back = False
         self.without_strength = 0
         """Packets that say nothing of their strength."""
         self.malformed = 0
@@ -99,10 +105,14 @@ class PcapReceiver(KeptReceiver):
                 raise DeviceError(f"{self._name}: {self._options.port}: {nobody}")
             if head is not None:
                 time.sleep(READ_TIMEOUT_S)
+        self._pending, self._damage = [], ""
         try:
-            self._pending = list(self._reader.feed(head))
+            for packet in self._reader.feed(head):
+                self._pending.append(packet)
         except CaptureError as error:
-            raise DeviceError(f"{self._name}: {self._options.port}: {error}") from error
+            if not self._pending:
+                raise DeviceError(f"{self._name}: {self._options.port}: {error}") from error
+            self._damage = f"not readable any further: {error}"
 
     def _start(self) -> None:
         if self._thread is not None:
@@ -122,6 +132,9 @@ class PcapReceiver(KeptReceiver):
     def _read(self) -> None:
         for packet in self._pending:
             self._take(packet)
+        if self._damage:
+            self._end(self._damage)
+            return
         while self._running.is_set():
             if (data := self._chunk()) is None:
                 continue
@@ -171,7 +184,7 @@ class PcapReceiver(KeptReceiver):
         ceiling = self._options.saturation_dbm
         self._give(
             RssReading(
-                t_ns=packet.t_ns or self._clock.now_ns(),
+                t_ns=self._in_order(packet.t_ns or self._clock.now_ns()),
                 robot=self.robot,
                 rss_dbm=rss_dbm,
                 via="tap" if packet.link_type == TAP else "sniffer",
@@ -181,6 +194,16 @@ class PcapReceiver(KeptReceiver):
                 saturated=ceiling is not None and rss_dbm >= ceiling,
             )
         )
+
+    def _in_order(self, t_ns: int) -> int:
+        """The packet's time, or the last one's where the capture's clock has gone back; that is said."""
+        back_ns = self._last_ns - t_ns
+        if back_ns > CLOCK_BACK_NS and not self._went_back:
+            words = f"the capture's clock went back by {back_ns * 1e-9:.1f} s: times stand still until it has caught up"
+            self._put(ReceiverState(self._last_ns, self.robot, True, words))
+        self._went_back = back_ns > CLOCK_BACK_NS
+        self._last_ns = max(self._last_ns, t_ns)
+        return self._last_ns
 
     def _strength(self, packet: Packet) -> Strength | None:
         if packet.link_type == TAP:

@@ -42,6 +42,8 @@ class Deframer:
         """Stream position of the first byte in the buffer."""
         self._chunks: list[tuple[int, int]] = []
         """(stream position of the chunk's first byte, its time), oldest first."""
+        self._quiet = -1
+        """Stream position at which the line was last quiet: where something new begins."""
         self.skipped_bytes = 0
         """Bytes that belonged to no good frame."""
 
@@ -59,14 +61,24 @@ class Deframer:
         """
         if self._buffer:
             yield from self._frames(escaped, waiting=False)
+        self._quiet = self._position + len(self._buffer)
 
     def _frames(self, escaped: bool, *, waiting: bool) -> Iterator[tuple[int, bytes]]:
         start = 0
         keep: int | None = None
         while (start := self._buffer.find(START, start)) >= 0:
-            found = _escaped_at(self._buffer, start) if escaped else _plain_at(self._buffer, start)
+            found = self._at(start, escaped)
             if isinstance(found, tuple):
                 data, end = found
+                anew = self._quiet - self._position
+                if start < anew < end and (begun := self._at(anew, escaped)) is not True:
+                    # Half a frame before the silence and half one after it, whose checksum fits by chance.
+                    if begun is False and waiting:
+                        keep = start
+                        break
+                    if begun is not False:
+                        start = anew
+                        continue
                 t_ns = self._time_of(self._position + start)
                 self.skipped_bytes += start
                 self._drop(end)
@@ -83,6 +95,12 @@ class Deframer:
         end = len(self._buffer) if keep is None else keep
         self.skipped_bytes += end
         self._drop(end)
+
+    def _at(self, start: int, escaped: bool) -> tuple[bytes, int] | bool:
+        """What starts there; see `_plain_at`."""
+        if self._buffer[start] != START:
+            return True
+        return _escaped_at(self._buffer, start) if escaped else _plain_at(self._buffer, start)
 
     def _drop(self, count: int) -> None:
         del self._buffer[:count]

@@ -1,16 +1,19 @@
 """Captures as receivers: classic and next generation, strength by link type, damage, live pipes."""
 
+import contextlib
 import os
 import struct
+from pathlib import Path
 
 import pytest
 from benches import FRAME
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.emulators.capture import classic_head, classic_record
 from drivers.emulators.sniffers import data_frame
 from drivers.sniffers.capture import CaptureError, CaptureReader
-from drivers.sniffers.ieee802154 import fcs
+from drivers.sniffers.ieee802154 import fcs, frame_id
 from drivers.sniffers.pcap import open_capture
 from drivers.sniffers.strength import TAP, WITH_FCS, WITHOUT_FCS, from_status_bytes, from_tap
 from fieldkit.clock import RealClock
@@ -204,3 +207,52 @@ async def test_a_live_pipe_gives_readings_as_they_come(tmp_path):
             if isinstance(item, ReceiverState):
                 break
     assert [item.up for item in items if isinstance(item, ReceiverState)] == [True, False]
+
+
+async def test_a_capture_whose_clock_jumps_back_keeps_its_order_and_says_so(tmp_path):
+    path = tmp_path / "back.pcap"
+    packets = [(T_NS, -60.0), (T_NS - 5_000_000_000, -61.0), (T_NS + 1_000_000, -62.0)]
+    path.write_bytes(classic_head() + b"".join(classic_record(t, tap(rss)) for t, rss in packets))
+    _, readings, items = await collect(path)
+    assert [reading.t_ns - T_NS for reading in readings] == [0, 0, 1_000_000]
+    assert [reading.rss_dbm for reading in readings] == [-60.0, -61.0, -62.0]
+    assert any("went back by 5.0 s" in item.reason for item in items if isinstance(item, ReceiverState))
+
+
+async def test_what_came_before_damage_is_given(tmp_path):
+    path = tmp_path / "damaged.pcap"
+    path.write_bytes(pcap([tap(-60.0)]) + b"\xff" * 16)
+    _, readings, items = await collect(path)
+    assert [reading.rss_dbm for reading in readings] == [-60.0]
+    assert "not readable" in items[-1].reason
+
+
+CAPTURES = Path(__file__).parents[3] / "shared" / "datasets" / "pcap_802154"
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the recorded captures are not here")
+@pytest.mark.parametrize("path", sorted(CAPTURES.glob("*/*.*")), ids=lambda path: path.name)
+async def test_captures_of_others_are_read_or_refused(path):
+    """Real captures without strength, Daintree logs that are none, and malformed frames."""
+    if path.suffix != ".pcap":
+        with pytest.raises(DeviceError):
+            await collect(path)
+        return
+    receiver, readings, items = await collect(path)
+    assert not items[-1].up
+    assert all(-200.0 < reading.rss_dbm < 0.0 for reading in readings)
+    if path.name == "control4-sample.pcap":  # 407 frames with true check bytes: no strength
+        assert (receiver.without_strength, readings) == (407, [])
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the recorded captures are not here")
+def test_malformed_frames_go_through_every_frame_codec():
+    count = 0
+    for path in CAPTURES.glob("*/*.pcap"):
+        with contextlib.suppress(CaptureError):
+            for packet in CaptureReader().feed(path.read_bytes()):
+                frame_id(packet.data)
+                from_tap(packet.data)
+                from_status_bytes(packet.data)
+                count += 1
+    assert count > 400

@@ -153,3 +153,13 @@ def test_no_stream_breaks_the_codec_or_fills_the_memory(chunks, escaped):
 def test_any_content_with_a_good_checksum_decodes_or_is_refused(kind, content):
     heard = decode(frame(bytes([kind]) + content))
     assert heard is None or -255.0 < heard.rss_dbm < 0.0
+
+
+def test_half_a_frame_whose_checksum_fits_by_chance_does_not_swallow_the_frame_after_a_silence():
+    good = frame(b"\x80" + bytes(8) + b"\x46\x02data")
+    start = bytes([0x7E, 0, 10, 1, 2, 3])  # claims ten bytes and a checksum; eight come with the next frame
+    fitting = bytes([*start[:5], (3 + 0xFF - sum(start[3:] + good[:8])) & 0xFF])
+    assert sum(fitting[3:] + good[:8]) & 0xFF == 0xFF
+    codec = Deframer()
+    assert list(codec.feed(fitting, 0, escaped=False)) == [] and list(codec.idle(escaped=False)) == []
+    assert [data for _, data in codec.feed(good, 1, escaped=False)] == [good]
