@@ -1,4 +1,4 @@
-"""`fieldkit emulate`: devices that are not there, for trying drivers and missions."""
+"""`fieldkit emulate | devices | vehicles | channels`. Heavy imports stay inside the commands."""
 
 from typing import Annotated
 
@@ -80,6 +80,70 @@ def field(
         EmulatedRobot(f"robot{n + 1}", n + 1, size_m * (n + 0.5) / robots, 0.5) for n in range(robots)
     )
     run_field(team, tuple(hidden), address, (47.3977, 8.5456), 0.4, rate, seed)
+
+
+@emulate.command()
+def sniffer(
+    kind: Annotated[str, typer.Option(help="nrf, ti, or pcap: a live pipe.")] = "nrf",
+    channel: Annotated[int, typer.Option(min=11, max=26, help="Channel the packets are on.")] = 15,
+    rate_hz: Annotated[float, typer.Option(min=0.001, help="Packets per second it hears.")] = 1.0,
+    rss_dbm: Annotated[float, typer.Option(help="How strongly it hears them, mean.")] = -70.0,
+    sigma_db: Annotated[float, typer.Option(help="Standard deviation of the strength.")] = 4.0,
+    seed: Seed = 1,
+) -> None:
+    """Emulate a promiscuous 802.15.4 receiver. Example: fieldkit emulate sniffer --kind ti"""
+    import asyncio
+
+    from drivers.emulators.alone import run_sniffer
+    from fieldkit.errors import ConfigError
+
+    if kind not in ("nrf", "ti", "pcap"):
+        raise ConfigError(f"--kind: expected nrf, ti or pcap, got {kind!r}")
+    asyncio.run(run_sniffer(kind, channel, rate_hz, rss_dbm, sigma_db, seed))
+
+
+@emulate.command()
+def camera(
+    out: Annotated[str, typer.Option(help="Folder that gets the calibration file.")] = ".",
+    rate_hz: Annotated[float, typer.Option(min=0.1, max=60.0, help="Pictures per second.")] = 16.0,
+    port: Annotated[int, typer.Option(help="TCP port; 0: any.")] = 0,
+) -> None:
+    """Emulate an overhead network camera with four robots. Example: fieldkit emulate camera --port 8554"""
+    import asyncio
+
+    from drivers.emulators.alone import run_camera
+
+    asyncio.run(run_camera(out, rate_hz, port))
+
+
+def channels(
+    port: Annotated[str, typer.Argument(help="The XBee's port.")],
+    scans: Annotated[int, typer.Option(min=1, help="How many scans.")] = 5,
+    scan_s: Annotated[float, typer.Option(min=0.01, max=15.0, help="Length of one scan.")] = 2.0,
+    busy_dbm: Annotated[float, typer.Option(help="From here up a channel counts as busy.")] = -80.0,
+    baud: Annotated[int, typer.Option(help="Baud rate of the port.")] = 115200,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Scan the channels' energy with an XBee, to choose where to listen. It transmits nothing.
+
+    Example: fieldkit channels /dev/ttyUSB0 --scans 10
+    """
+    import json
+
+    from drivers.xbee.survey import occupancy
+
+    found = occupancy(port, baud, scans, scan_s, busy_dbm)
+    if as_json:
+        typer.echo(json.dumps(found))
+        return
+    typer.echo("channel   mean dBm  strongest   busy")
+    for each in found["channels"]:
+        typer.echo(
+            f"{each['channel']:7d} {each['mean_dbm']:10.1f} {each['strongest_dbm']:10.0f} {each['busy_share']:6.0%}"
+        )
+    typer.echo(
+        f"{found['scans']} scans; deaf to packets for {found['deaf_s']:.1f} s. Any radio counts, WiFi too."
+    )
 
 
 def devices(

@@ -30,6 +30,9 @@ PATIENCE_S = 10.0
 UNPLUG_S = 2.0
 """Wall time within which a receiver must notice that its device is gone."""
 
+SOURCE_BACK_S = 30.0
+"""Wall time within which a position source must take its device back; a camera starts a process for it."""
+
 
 @dataclass
 class ReceiverBench:
@@ -59,6 +62,10 @@ class PositionSourceBench:
     """A position source, not yet opened, that will give poses of all its robots by itself."""
 
     source: PositionSource
+    unplug: Act | None = None
+    """Take its device away; None where there is none (a file, a recording)."""
+    replug: Act | None = None
+    """Bring it back."""
 
 
 MakeReceiver = Callable[[], AbstractAsyncContextManager[ReceiverBench]]
@@ -248,8 +255,8 @@ async def _beating(bench: VehicleLinkBench) -> AsyncIterator[None]:
 
 
 async def check_position_source(make: MakePositionSource) -> None:
-    """Everything a `PositionSource` promises: order, names, finite poses, cancellation, closing, no leaks."""
-    for check in (_gives_poses, _source_closes):
+    """Everything a `PositionSource` promises: order, names, finite poses, cancelling, unplugging, closing, no leaks."""
+    for check in (_gives_poses, _source_survives_cancelling, _source_comes_back, _source_closes):
         async with nothing_left(), make() as bench:
             await check(bench)
 
@@ -268,6 +275,27 @@ async def _gives_poses(bench: PositionSourceBench) -> None:
                 assert 0.0 <= pose.heading_deg < 360.0, f"heading {pose.heading_deg}"
         strangers = {pose.robot for pose in tap.seen} - set(source.robots)
         assert not strangers, f"poses of robots it does not announce: {strangers}"
+
+
+async def _source_survives_cancelling(bench: PositionSourceBench) -> None:
+    async with bench.source as source:
+        for consumer in ("a consumer", "another after the first was cancelled"):
+            async with _Tap(source.poses()) as tap:
+                await tap.until(lambda seen: len(seen) >= 2, f"2 poses for {consumer}")
+
+
+async def _source_comes_back(bench: PositionSourceBench) -> None:
+    if bench.unplug is None or bench.replug is None:
+        return
+    async with bench.source as source, _Tap(source.poses()) as tap:
+        await tap.until(lambda seen: len(seen) >= 1, "a pose")
+        await bench.unplug()
+        await asyncio.sleep(UNPLUG_S)  # what was under way may still come
+        before = len(tap.seen)
+        await asyncio.sleep(0.5)
+        assert len(tap.seen) == before, "poses of a device that is gone"
+        await bench.replug()
+        await tap.until(lambda seen: len(seen) > before + 1, "poses after plugging in again", SOURCE_BACK_S)
 
 
 async def _source_closes(bench: PositionSourceBench) -> None:

@@ -1,15 +1,21 @@
 """Emulated devices run from the command line until Ctrl-C: says where to connect, then keeps quiet."""
 
 import asyncio
+import tempfile
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import typer
 
+from drivers.emulators.capture import PipeSniffer
 from drivers.emulators.field import EmulatedRobot, FieldSpec, start
+from drivers.emulators.sniffers import NrfDongle, TiDongle
 from drivers.emulators.wires import PluggedModule, TcpWire, make_wire
 from drivers.emulators.xbee import Module, Profile
 from fieldkit.antenna.model import Antenna
-from fieldkit.clock import ScaledClock, wall_sleep
+from fieldkit.clock import RealClock, ScaledClock, wall_sleep
+from fieldkit.errors import ConfigError
 from fieldkit.geo import FieldFrame
 from fieldkit.world.sources import TransientSource
 
@@ -39,6 +45,50 @@ async def run_xbee(
         strength = round(rng.normal(rss_dbm, sigma_db))
         radio.hear(float(min(strength, -1)), 0x0013A20041000000, number.to_bytes(4, "big"))
         number += 1
+
+
+async def run_sniffer(
+    kind: str, channel: int, rate_hz: float, rss_dbm: float, sigma_db: float, seed: int
+) -> None:
+    """A dongle on a pty, or a capture in a pipe, that hears packets as a Poisson process, in wall time."""
+    rng = np.random.default_rng(seed)
+    clock = RealClock()
+    with tempfile.TemporaryDirectory(prefix="fieldkit-") as folder:
+        radio: PipeSniffer | PluggedModule[Any]
+        if kind == "pcap":
+            radio = PipeSniffer(Path(folder) / "live.pcap", clock.now_ns, channel)
+            port, driver = radio.port, "pcap"
+            await radio.plug()
+        else:
+            dongle = (NrfDongle if kind == "nrf" else TiDongle)(lambda: clock.now_ns() // 1000, channel)
+            radio = PluggedModule(dongle, make_wire())
+            await radio.plug()
+            port, driver = radio.wire.port, f"{kind}-sniffer"
+        typer.echo(f'driver = "{driver}", port = "{port}", channel = {channel}   (Ctrl-C ends it)')
+        number = 0
+        while True:
+            await asyncio.sleep(rng.exponential(1.0 / rate_hz))
+            strength = float(min(round(rng.normal(rss_dbm, sigma_db)), -1))
+            radio.hear(strength, 0x1234, number.to_bytes(4, "big"), short_address=True)
+            number += 1
+
+
+async def run_camera(folder: str, rate_hz: float, port: int) -> None:
+    """A network camera that shows four robots, two of them driving."""
+    from drivers.camera.benchmark import marker_scene
+    from drivers.emulators.camera import PictureServer, write_calibration
+
+    scene = marker_scene()
+    calibration = Path(folder) / "camera.toml"
+    if calibration.exists():
+        raise ConfigError(f"{calibration} exists already; give another folder with --out")
+    write_calibration(scene, calibration)
+    async with PictureServer(scene.picture, rate_hz, port) as server:
+        typer.echo(f'source = "{server.url}", calibration = "{calibration}"')
+        for name, shown in scene.robots.items():
+            typer.echo(f"{name}: marker {shown.marker}, {shown.mark_m:g} m wide, {shown.height_m:g} m up")
+        typer.echo("Ctrl-C ends it")
+        await asyncio.Event().wait()
 
 
 def run_field(

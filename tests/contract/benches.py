@@ -14,19 +14,22 @@ from typing import Any
 
 import numpy as np
 
+from drivers.camera.source import open_camera
+from drivers.emulators.camera import PictureServer, Scene, Shown, still, write_calibration
+from drivers.emulators.capture import PipeSniffer
 from drivers.emulators.rover import RoverAutopilot
 from drivers.emulators.sniffers import NrfDongle, TiDongle
 from drivers.emulators.wires import Device, PluggedModule, PtyWire, TcpWire, Wire
 from drivers.emulators.xbee import Module
-from drivers.handover import Handover
 from drivers.mavlink.fleet import open_link
+from drivers.positions.source import open_file
+from drivers.sniffers.pcap import open_capture
 from drivers.sniffers.receiver import open_nrf, open_ti
 from drivers.xbee.receiver import open_receiver
 from fieldkit.clock import Clock, RealClock, ScaledClock
 from fieldkit.geo import FieldFrame
-from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import ReceiverFactory, Surroundings
-from fieldkit.testing import ReceiverBench, VehicleLinkBench
+from fieldkit.testing import PositionSourceBench, ReceiverBench, VehicleLinkBench
 from fieldkit.world.rover import Rover
 
 FRAME = FieldFrame(47.3977, 8.5456, 400.0)
@@ -40,9 +43,13 @@ Bench = Callable[[], contextlib.AbstractAsyncContextManager[ReceiverBench]]
 
 
 def on_wire(
-    open_it: ReceiverFactory, make_device: Callable[[], Device], make_wire: Callable[[Path], Wire]
+    open_it: ReceiverFactory,
+    make_device: Callable[[], Device],
+    make_wire: Callable[[Path], Wire],
+    gap_s: float = 0.0,
+    **options: Any,
 ) -> Bench:
-    """A radio driver on an emulated device."""
+    """A radio driver on an emulated device that hears a packet every `gap_s`."""
 
     @asynccontextmanager
     async def bench() -> AsyncIterator[ReceiverBench]:
@@ -53,12 +60,13 @@ def on_wire(
         async def transmit(count: int) -> None:
             for number in range(count):
                 assert radio.hear(-60.0 - number, 0x0013A20041000001, b"beacon")
+                await asyncio.sleep(gap_s)
 
         async def unplug() -> None:
             radio.unplug()
 
         try:
-            receiver = open_it("ada", {"port": radio.wire.port}, around())
+            receiver = open_it("ada", {"port": radio.wire.port, **options}, around())
             yield ReceiverBench(receiver, transmit, unplug, radio.plug)
         finally:
             radio.unplug()
@@ -67,39 +75,56 @@ def on_wire(
     return bench
 
 
-class FakeReceiver:
-    """The smallest receiver there is: a queue."""
+@asynccontextmanager
+async def capture_on_pipe() -> AsyncIterator[ReceiverBench]:
+    """A capture that grows in a named pipe."""
+    with tempfile.TemporaryDirectory() as folder:
+        sniffer = PipeSniffer(Path(folder) / "live.pcap", RealClock().now_ns)
+        await sniffer.plug()
 
-    def __init__(self, robot: str) -> None:
-        self.robot = robot
+        async def transmit(count: int) -> None:
+            for number in range(count):
+                assert sniffer.hear(-60.0 - number, 0x1234, b"beacon", short_address=True)
 
-    async def __aenter__(self) -> "FakeReceiver":
-        self.queue: Handover[RssReading | ReceiverState] = Handover()
-        return self
+        async def unplug() -> None:
+            sniffer.unplug()
 
-    async def __aexit__(self, *_: object) -> None:
-        self.queue.close()
-
-    async def readings(self) -> AsyncIterator[RssReading | ReceiverState]:
-        async for item in self.queue.items():
-            yield item
+        try:
+            yield ReceiverBench(
+                open_capture("ada", {"port": sniffer.port}, around()), transmit, unplug, sniffer.plug
+            )
+        finally:
+            sniffer.unplug()
 
 
 @asynccontextmanager
-async def fake_receiver() -> AsyncIterator[ReceiverBench]:
-    receiver, clock = FakeReceiver("ada"), RealClock()
+async def camera_on_network() -> AsyncIterator[PositionSourceBench]:
+    """A camera driver on an emulated network camera."""
+    robots = {"ada": Shown(still(3.0, 4.0, 30.0), marker=3), "bob": Shown(still(7.0, 6.0, 200.0), marker=7)}
+    scene = Scene(robots, noise=2.0, shadows=False)
+    picture = scene.picture(0.0)
+    with tempfile.TemporaryDirectory() as folder:
+        calibration = Path(folder) / "camera.toml"
+        write_calibration(scene, calibration)
+        async with PictureServer(lambda _: picture, rate_hz=8.0) as server:
+            options = {
+                "source": server.url,
+                "calibration": str(calibration),
+                "robots": {"ada": {"marker": 3, "mark_m": 0.4}, "bob": {"marker": 7, "mark_m": 0.4}},
+            }
+            yield PositionSourceBench(open_camera(options, around()), server.unplug, server.plug)
 
-    async def transmit(count: int) -> None:
-        for _ in range(count):
-            receiver.queue.put(RssReading(clock.now_ns(), "ada", -70.0))
 
-    async def unplug() -> None:
-        receiver.queue.put(ReceiverState(clock.now_ns(), "ada", False))
-
-    async def replug() -> None:
-        receiver.queue.put(ReceiverState(clock.now_ns(), "ada", True))
-
-    yield ReceiverBench(receiver, transmit, unplug, replug)
+@asynccontextmanager
+async def positions_from_file() -> AsyncIterator[PositionSourceBench]:
+    """A CSV log of two robots, played fast."""
+    with tempfile.TemporaryDirectory() as folder:
+        rows = "".join(
+            f"{k * 0.05},{name},{k * 0.1},{k * 0.2},90\n" for k in range(200) for name in ("ada", "bob")
+        )
+        path = Path(folder) / "walk.csv"
+        path.write_text("time_s,robot,east_m,north_m,heading_deg\n" + rows)
+        yield PositionSourceBench(open_file({"path": str(path)}, around(ScaledClock(5.0))))
 
 
 async def until(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
@@ -200,9 +225,10 @@ def now_us() -> int:
 RECEIVERS: dict[str, Bench] = {
     "xbee-pty": on_wire(open_receiver, Module, pty),
     "xbee-tcp": on_wire(open_receiver, Module, tcp),
+    "xbee-asking-db": on_wire(open_receiver, lambda: Module(settings={"AO": 0}), pty, 0.02, ask_db=True),
     "nrf-sniffer": on_wire(open_nrf, lambda: NrfDongle(now_us), pty),
     "ti-sniffer": on_wire(open_ti, lambda: TiDongle(now_us), pty),
-    "fake": fake_receiver,
+    "pcap": capture_on_pipe,
 }
 VEHICLE_LINKS = {"mavlink": mavlink_on_rovers}
-POSITION_SOURCES: dict[str, object] = {}
+POSITION_SOURCES: dict[str, Any] = {"camera": camera_on_network, "file": positions_from_file}

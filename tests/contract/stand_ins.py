@@ -90,8 +90,35 @@ async def fake_fleet() -> AsyncIterator[VehicleLinkBench]:
     yield VehicleLinkBench(link, clock, starts)
 
 
+class FakePositions:
+    """Poses by a clock, of robots that stand still."""
+
+    def __init__(self, robots: tuple[str, ...]) -> None:
+        self.robots = robots
+        self._closed = True
+
+    async def __aenter__(self) -> "FakePositions":
+        self._closed = False
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        self._closed = True
+
+    async def poses(self) -> AsyncIterator[Pose]:
+        clock = RealClock()
+        while not self._closed:
+            for robot in self.robots:
+                yield Pose(clock.now_ns(), robot, 1.0, 2.0)
+            await clock.sleep(0.01)
+
+
+@asynccontextmanager
+async def fake_positions() -> AsyncIterator[PositionSourceBench]:
+    yield PositionSourceBench(FakePositions(("ada", "bob")))
+
+
 @asynccontextmanager
 async def played_positions() -> AsyncIterator[PositionSourceBench]:
     with tempfile.TemporaryDirectory() as folder:
         recording = open_recording(recorded(Path(folder)))
-        yield PositionSourceBench(PlayedPositions(("ada",), recording, ScaledClock(100.0)))
+        yield PositionSourceBench(PlayedPositions(("ada",), recording, ScaledClock(0.1)))

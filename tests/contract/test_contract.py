@@ -8,7 +8,7 @@ from fieldkit.testing import check_position_source, check_receiver, check_vehicl
 
 RECEIVERS |= {"fake": stand_ins.fake_receiver, "replay": stand_ins.played_receiver}
 VEHICLE_LINKS |= {"fake": stand_ins.fake_fleet}
-POSITION_SOURCES |= {"replay": stand_ins.played_positions}
+POSITION_SOURCES |= {"fake": stand_ins.fake_positions, "replay": stand_ins.played_positions}
 
 
 @pytest.mark.parametrize("name", RECEIVERS)
@@ -23,4 +23,6 @@ async def test_vehicle_link_conforms(name):
 
 @pytest.mark.parametrize("name", POSITION_SOURCES)
 async def test_position_source_conforms(name):
+    if name == "camera":
+        pytest.importorskip("cv2", reason="OpenCV is not installed: pip install spog-fieldkit[camera]")
     await check_position_source(POSITION_SOURCES[name])

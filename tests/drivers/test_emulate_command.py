@@ -13,7 +13,7 @@ from drivers.cli import emulate
 RUN = "from drivers.cli import emulate\nif __name__ == '__main__':\n    emulate()\n"
 
 
-@pytest.mark.parametrize("what", ["xbee", "rover", "field"])
+@pytest.mark.parametrize("what", ["xbee", "rover", "field", "sniffer", "camera"])
 def test_help_has_an_example(what):
     result = CliRunner().invoke(emulate, [what, "--help"])
     assert result.exit_code == 0
@@ -32,6 +32,8 @@ def test_importing_the_command_imports_nothing_heavy():
     ("arguments", "words"),
     [
         (["xbee"], 'port = "'),
+        (["sniffer", "--kind", "ti"], 'driver = "ti-sniffer"'),
+        (["sniffer", "--kind", "pcap"], 'driver = "pcap"'),
         (["rover", "--address", "127.0.0.1:9"], "udpin:127.0.0.1:9"),
         (["field", "--robots", "2", "--address", "127.0.0.1:9"], "hidden transmitter"),
     ],
@@ -50,7 +52,7 @@ def test_says_where_to_connect_and_ends_with_ctrl_c(tmp_path, arguments, words):
         said = ""
         for line in process.stdout:
             said += line
-            if "Ctrl-C" in line:
+            if "Ctrl-C" in line:  # the last it says
                 break
         process.send_signal(signal.SIGINT)
         assert process.wait(10) is not None

@@ -32,6 +32,18 @@ async def test_an_xbee_is_told_with_what_it_cannot_hear(plug):
     assert "not usable" in found[1]["what"] and "AO=2" in found[1]["what"]
 
 
+async def test_channels_in_use_are_told_with_the_time_spent_deaf(plug):
+    radio = await plug()
+    radio.module.energy_dbm = {17: -55.0}
+    arguments = (cli.channels, radio.wire.port, "--scans", "2", "--scan-s", "0.2")
+    found = json.loads((await asyncio.to_thread(run, *arguments, "--json")).stdout)
+    busy = [each["channel"] for each in found["channels"] if each["busy_share"] == 1.0]
+    assert (found["scans"], busy, len(found["channels"])) == (2, [17], 16)
+    assert found["deaf_s"] >= 0.4 and len(found["over_time"]) == 2
+    assert radio.module.transmitted == 0
+    assert "     17      -55.0" in (await asyncio.to_thread(run, *arguments)).stdout
+
+
 async def test_vehicles_heard_on_a_link_are_listed():
     port = free_udp_port()
     async with rovers_on_udp({3: (0.0, 0.0), 8: (1.0, 0.0)}, ScaledClock(5.0), port) as rovers:
