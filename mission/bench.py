@@ -13,13 +13,16 @@ from scipy.special import ndtr
 
 from fieldkit.antenna.model import Antenna
 from fieldkit.clock import wall_s
+from fieldkit.engine.belief.intensity import IntensityBelief
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.infogain import InfoGainPlanner
 from fieldkit.engine.planning.prwa import PrwaPlanner
 from fieldkit.engine.sensing.pairwise import RANGE_DB, STEP_DB, attenuation_db, tables
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray
+from fieldkit.world.channel import sample_rss_dbm
 
 
 def median_s(action: Callable[[], Any], repeats: int = 21) -> float:
@@ -159,6 +162,51 @@ def plan() -> dict[str, Any]:
         "pairs": 3,
         "cells_per_cluster": 256,
     }
+
+
+def heard_by_team(
+    engine: EngineSettings, place: tuple[float, float], power_db: float, rng: np.random.Generator
+) -> Detection:
+    """A transmission from `place` as a team around it hears it; the channel is tried until somebody does."""
+    while True:
+        robots = np.array(place) + rng.normal(0.0, 2.0, (len(engine.robots), 2))
+        rss = sample_rss_dbm(engine.antenna, np.hypot(*(robots - place).T), power_db, rng)
+        if not np.isnan(rss).all():
+            m = len(engine.robots)
+            return Detection(0, engine.robots, robots, np.zeros(m), rss, np.zeros(m, dtype=bool))
+
+
+def loaded_belief(engine: EngineSettings, detections: int, rng: np.random.Generator) -> IntensityBelief:
+    """The default belief after so many detections of eight sources spread over the field, in turn."""
+    belief = IntensityBelief(engine)
+    size = min(engine.grid.size_east_m, 50.0)
+    places = [(float(e), float(n)) for e, n in rng.uniform(0.1 * size, 0.9 * size, (8, 2))]
+    for k in range(detections):
+        belief.detect(heard_by_team(engine, places[k % 8], -4.0, rng))
+    return belief
+
+
+def belief() -> dict[str, Any]:
+    """One update and one replan of the default engine with 8 robots and 300 detections, by field size."""
+    return {"2,500 cells": _one_look(50, 300), "250,000 cells": _one_look(500, 300)}
+
+
+def belief_long() -> dict[str, Any]:
+    """The same after 300 and after 10,000 detections: cost must not grow with their number. Takes minutes."""
+    return {"300 detections": _one_look(50, 300), "10,000 detections": _one_look(50, 10_000)}
+
+
+def _one_look(cells: int, detections: int) -> dict[str, float]:
+    engine = settings(cells=cells, pairs=4, prior_rule="em", sensing="levels")
+    rng = np.random.default_rng(7)
+    loaded = loaded_belief(engine, detections, rng)
+    planner = InfoGainPlanner(engine)
+    place = {robot: (5.0 + 1.5 * k, 10.0) for k, robot in enumerate(engine.robots)}
+    situation = Situation(0, place, engine.teams, {})
+    news = iter([heard_by_team(engine, (12.0, 12.0), -4.0, rng) for _ in range(12)])
+    update_s = median_s(lambda: loaded.detect(next(news)), 9)
+    plan_s = median_s(lambda: planner.plan(situation, loaded), 5)
+    return {"update_ms": 1e3 * update_s, "replan_ms": 1e3 * plan_s, "both_ms": 1e3 * (update_s + plan_s)}
 
 
 def kernel() -> dict[str, Any]:

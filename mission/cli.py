@@ -235,7 +235,11 @@ def bench(
     """
     from fieldkit import plugins
 
-    wanted = plugins.names("fieldkit.benchmarks") if name == "all" else [name]
+    wanted = (
+        [n for n in plugins.names("fieldkit.benchmarks") if not n.endswith("-long")]
+        if name == "all"
+        else [name]
+    )
     results = {}
     for each in wanted:
         _say(f"measuring {each} ...")

@@ -1,15 +1,16 @@
 """mission.toml: read, checked at this edge, and turned into what kernel, safety and rigs are given."""
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from fieldkit import plugins
-from fieldkit.antenna.file import AntennaFile, read_antenna
+from fieldkit.antenna.file import AntennaFile, predictive_sigma_db, read_antenna
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.keepout import KeepOut
 from fieldkit.engine.settings import EngineSettings
@@ -274,9 +275,12 @@ def _check_names(file: MissionFile, where: str) -> None:
 def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: str, where: str) -> Mission:
     """Settings for every part, from a checked file and its antenna. Raises `ConfigError`."""
     field = file.field
+    # The calibration's own uncertainty widens every reading; at the range where most readings are made.
+    typical_m = float(np.median(antenna.antenna.nominal_range_m(np.array(file.sources.power_levels_db))))
+    sigma_db = float(predictive_sigma_db(antenna, typical_m))
     engine = EngineSettings(
         grid=Grid(field.size_east_m, field.size_north_m, field.cell_m),
-        antenna=antenna.antenna,
+        antenna=replace(antenna.antenna, sigma_db=sigma_db),
         teams=tuple(team.robots for team in file.team),
         power_levels_db=file.sources.power_levels_db,
         found_probability=file.engine.found_probability,

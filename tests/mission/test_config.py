@@ -92,3 +92,19 @@ def test_what_new_writes_needs_nothing_but_an_antenna_file(folder: Path) -> None
     mission = read_mission(path)
     assert mission.kernel.stop_probability_left == 0.05
     assert len(mission.kernel.engine.robots) == 4
+
+
+def test_the_calibrations_own_uncertainty_widens_the_engines_sigma(folder: Path) -> None:
+    before = read_mission(folder / "mission.toml").kernel.engine.antenna.sigma_db
+    antenna = folder / "antenna.toml"
+    antenna.write_text(
+        antenna.read_text()
+        + """
+[covariance]
+names = ["power_at_1m_dbm", "path_loss_exponent", "sigma_db"]
+matrix = [[4.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+"""
+    )
+    widened = read_mission(folder / "mission.toml").kernel.engine.antenna.sigma_db
+    assert before == pytest.approx(3.3)
+    assert widened == pytest.approx((3.3**2 + 4.0) ** 0.5)
