@@ -147,7 +147,7 @@ def channels(
 
 
 def devices(
-    port: Annotated[list[str] | None, typer.Argument(help="Ports to open and ask as XBees.")] = None,
+    port: Annotated[list[str] | None, typer.Argument(help="Ports to open and ask what they are.")] = None,
     baud: Annotated[int, typer.Option(help="Baud rate of the ports asked.")] = 115200,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
@@ -156,12 +156,14 @@ def devices(
 
     from drivers import inventory
 
-    found = [inventory.ask_xbee(each, baud) for each in port] if port else inventory.ports()
+    found = [inventory.ask(each, baud) for each in port] if port else inventory.ports()
     if as_json:
         typer.echo(json.dumps(inventory.as_json(found)))
         return
     for each in found:
         typer.echo(f"{each.port}: {each.what}")
+        if each.settings:
+            typer.echo("  " + ", ".join(f"{name}={value}" for name, value in each.settings.items()))
         for line in each.advice:
             typer.echo(f"  {line}")
     if not found:

@@ -9,14 +9,22 @@ from serial.tools import list_ports
 from drivers.mavlink.codec import AUTOPILOT, Parser
 from drivers.mavlink.transport import Peer, make_transport
 from drivers.mavlink.vehicle import Vehicle
+from drivers.sniffers.receiver import open_nrf, open_ti
 from drivers.xbee.receiver import open_receiver
-from drivers.xbee.settings import advice
+from drivers.xbee.settings import advice, why_deaf
 from fieldkit.clock import RealClock
-from fieldkit.errors import DeviceError
+from fieldkit.errors import DeviceError, DeviceTimeout
 from fieldkit.geo import FieldFrame
 from fieldkit.ports import Surroundings
 
 NOWHERE = FieldFrame(0.0, 0.0)
+MESH_HEARS = (
+    "hears its own mesh network only; cannot hear other PANs, plain 802.15.4 senders or other channels, and its "
+    "frames carry no strength"
+)
+SNIFFER_HEARS = (
+    "hears every 802.15.4 frame on the channel it is set to, whoever it is for; one channel at a time"
+)
 XBEE_HEARS = (
     "hears 802.15.4 data frames on its channel that are broadcast, or addressed to it, in its own PAN; "
     "cannot hear other PANs, other channels, ZigBee or DigiMesh networks"
@@ -44,6 +52,8 @@ class Found:
     port: str
     what: str
     advice: list[str] = field(default_factory=list)
+    settings: dict[str, str] = field(default_factory=dict)
+    """AT name to its value in hexadecimal, of an XBee that answered."""
 
 
 def ports() -> list[Found]:
@@ -57,20 +67,38 @@ def ports() -> list[Found]:
     return found
 
 
-def ask_xbee(port: str, baud: int) -> Found:
-    """Open a port as an XBee and tell what it is; errors are told, not raised."""
-    return asyncio.run(_ask_xbee(port, baud))
+def ask(port: str, baud: int) -> Found:
+    """Open a port, as an XBee and then as a sniffer dongle, and tell what it is; errors are told, not raised."""
+    return asyncio.run(_ask(port, baud))
 
 
-async def _ask_xbee(port: str, baud: int) -> Found:
-    receiver = open_receiver("this port", {"port": port, "baud": baud}, Surroundings(RealClock(), NOWHERE))
+async def _ask(port: str, baud: int) -> Found:
+    around = Surroundings(RealClock(), NOWHERE)
+    receiver = open_receiver("this port", {"port": port, "baud": baud, "ask_db": True}, around)
     try:
         async with receiver:
             settings = receiver.settings
+    except DeviceTimeout as error:
+        return await _ask_sniffers(port, around) or Found(port, f"not usable: {error}")
     except DeviceError as error:
         return Found(port, f"not usable: {error}")
     assert settings is not None
-    return Found(port, f"{settings.describe()}: {XBEE_HEARS}", advice(settings))
+    hears = MESH_HEARS if settings.is_mesh else XBEE_HEARS
+    deaf = why_deaf(settings)
+    what = f"{settings.describe()}: " + (f"not usable as it is: {deaf}; {hears}" if deaf else hears)
+    values = {"AP": settings.api_mode} | settings.values
+    told = {name: f"{value:X}" for name, value in values.items() if value is not None}
+    return Found(port, what, advice(settings), told)
+
+
+async def _ask_sniffers(port: str, around: Surroundings) -> Found | None:
+    for opener, name in ((open_nrf, "nrf-sniffer"), (open_ti, "ti-sniffer")):
+        try:
+            async with opener("this port", {"port": port}, around):
+                return Found(port, f"802.15.4 sniffer dongle: receiver '{name}', {SNIFFER_HEARS}")
+        except DeviceError:
+            continue
+    return None
 
 
 def heard_vehicles(address: str, duration_s: float) -> list[dict[str, Any]]:

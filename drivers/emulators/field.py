@@ -8,6 +8,7 @@ the XBee's answers take wall time. World time 0 is the clock's `start_ns`.
 import asyncio
 import contextlib
 import multiprocessing
+import random
 import signal
 import tempfile
 import threading
@@ -19,6 +20,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from drivers.emulators.faults import FAULTS
 from drivers.emulators.rover import RoverAutopilot
 from drivers.emulators.wires import PluggedModule, make_wire
 from drivers.emulators.xbee import PROFILES, Module
@@ -220,6 +222,19 @@ class _Faults:
 
     async def damage_next_frame(self, robot: _Robot, prefix: Any) -> None:
         robot.radio.rewrite = lambda data: bytes(prefix) + data
+
+    async def fault_next_frame(self, robot: _Robot, fault: Any) -> None:
+        """One of `faults.FAULTS`, by name."""
+        robot.radio.rewrite = FAULTS[str(fault)](random.Random(robot.radio.module.serial_number))
+
+    async def pause_radio(self, robot: _Robot, paused: Any) -> None:
+        if paused:
+            robot.radio.pause()
+        else:
+            robot.radio.resume()
+
+    async def reboot_radio(self, robot: _Robot, _: Any) -> None:
+        robot.radio.reboot()
 
     async def silence_vehicle(self, robot: _Robot, _: Any) -> None:
         robot.silenced = True

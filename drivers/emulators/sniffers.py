@@ -108,7 +108,10 @@ class TiDongle:
     def receive(self, data: bytes, now_s: float) -> list[bytes]:
         self._buffer += data
         replies: list[bytes] = []
-        while len(self._buffer) >= 8 and self._buffer.startswith(START):
+        while (begin := self._buffer.find(START)) >= 0:
+            self._buffer = self._buffer[begin:]
+            if len(self._buffer) < 8:
+                break
             length = int.from_bytes(self._buffer[3:5], "little")
             if len(self._buffer) < 8 + length:
                 break

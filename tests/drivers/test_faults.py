@@ -208,6 +208,38 @@ async def test_another_firmware_is_told_from_none(tmp_path, opener):
     assert "nothing answers" in words[0] and "firmware" in words[1] and words[0] != words[1]
 
 
+@every_radio
+async def test_a_missing_port_is_named_with_a_remedy(tmp_path, name):
+    opener = RADIOS[name][1]
+    with pytest.raises(DeviceError, match=r"no device at .*ttyUSB7"):
+        async with opener("ada", {"port": str(tmp_path / "ttyUSB7")}, Surroundings(CLOCK, FRAME)):
+            pass
+
+
+@every_radio
+async def test_a_busy_port_is_named_with_a_remedy(tmp_path, name):
+    async with Open(name, tmp_path) as bench:
+        with pytest.raises(DeviceError, match="in use by another program"):
+            async with bench.opener("bob", {"port": bench.radio.wire.port}, Surroundings(CLOCK, FRAME)):
+                pass
+
+
+@pytest.mark.parametrize("rss_dbm", [0, 20])
+@pytest.mark.parametrize(("make", "opener"), [(NrfDongle, open_nrf), (TiDongle, open_ti)])
+async def test_a_strength_that_is_none_gives_no_reading(tmp_path, make, opener, rss_dbm):
+    """0 and positive values are what a firmware says where it has no measurement."""
+    radio = PluggedModule(make(now_us), PtyWire(tmp_path / "radio"))
+    await radio.plug()
+    async with opener("ada", {"port": radio.wire.port}, Surroundings(CLOCK, FRAME)) as receiver:
+        radio.hear(float(rss_dbm), SENDER, b"x")
+        radio.hear(-70.0, SENDER, b"x")
+        async for item in receiver.readings():
+            if isinstance(item, RssReading):
+                assert item.rss_dbm == -70.0
+                break
+    radio.unplug()
+
+
 class PtySerial(serial.Serial):
     """A pty for pyserial: it has no modem lines to ask or set."""
 

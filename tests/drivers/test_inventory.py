@@ -9,6 +9,8 @@ from benches import free_udp_port, rovers_on_udp
 from typer.testing import CliRunner
 
 from drivers import cli, inventory
+from drivers.emulators.sniffers import TiDongle
+from drivers.emulators.wires import PluggedModule, PtyWire
 from fieldkit.clock import ScaledClock
 
 
@@ -30,6 +32,21 @@ async def test_an_xbee_is_told_with_what_it_cannot_hear(plug):
     found = json.loads(result.stdout)
     assert "cannot hear other PANs" in found[0]["what"] and "MM=1" in found[0]["advice"][0]
     assert "not usable" in found[1]["what"] and "AO=2" in found[1]["what"]
+    assert found[0]["settings"] == {"AP": "2", "AO": "2", "MM": "0", "MY": "FFFE", "ID": "3332", "CH": "C"}
+
+
+async def test_a_mesh_module_is_told_with_what_it_cannot_hear(plug):
+    radio = await plug("900hp")
+    result = await asyncio.to_thread(run, cli.devices, radio.wire.port)
+    assert "not usable as it is" in result.output and "its own mesh network only" in result.output
+
+
+async def test_a_dongle_is_told_from_an_xbee(tmp_path):
+    radio = PluggedModule(TiDongle(lambda: 0), PtyWire(tmp_path / "dongle"))
+    await radio.plug()
+    result = await asyncio.to_thread(run, cli.devices, radio.wire.port)
+    radio.unplug()
+    assert "ti-sniffer" in result.output and "every 802.15.4 frame" in result.output
 
 
 async def test_channels_in_use_are_told_with_the_time_spent_deaf(plug):
