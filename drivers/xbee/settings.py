@@ -12,6 +12,8 @@ from digi.xbee.models.protocol import XBeeProtocol
 SATURATION_DBM = -40.0
 """S1, S2C and XBee 3 are linear up to about -40 dBm; what is reported above is a lower bound."""
 SATURATION_PRO_DBM = -36.0
+SENSITIVITY_DBM = {0x17: -92.0, 0x18: -100.0, 0x41: -103.0, 0x42: -103.0, 0x23: -101.0}
+"""First byte of HV to what is still received, from the data sheets; weaker packets are lost, not reported."""
 S1_PRO = 0x18
 _NAMES = {0x17: "S1", S1_PRO: "S1 PRO"}
 _S1 = (0x17, S1_PRO)
@@ -37,6 +39,11 @@ class ModuleSettings:
         return self.values.get("CH")
 
     @property
+    def sensitivity_dbm(self) -> float | None:
+        """The weakest it hears, about; None where that is not known."""
+        return SENSITIVITY_DBM.get(self.hardware)
+
+    @property
     def is_s1(self) -> bool:
         return self.hardware in _S1
 
@@ -51,7 +58,11 @@ class ModuleSettings:
 
     def describe(self) -> str:
         channel = "" if self.channel is None else f", channel {self.channel}"
-        return f"XBee {self.hardware_name}, firmware {self.firmware}, address {self.address}{channel}"
+        ends = "" if self.sensitivity_dbm is None else f"{self.sensitivity_dbm:g} to "
+        return (
+            f"XBee {self.hardware_name}, firmware {self.firmware}, address {self.address}{channel}, "
+            f"hears {ends}{self.saturation_dbm:g} dBm"
+        )
 
 
 def read_settings(device: XBeeDevice) -> ModuleSettings:

@@ -91,6 +91,22 @@ async def test_strengths_at_the_ceiling_are_marked(plug, listening, profile, cei
     assert [r.saturated for r in heard.readings] == [True, True, False]
 
 
+@pytest.mark.parametrize(
+    ("profile", "words"), [("s1", "hears -92 to -40 dBm"), ("s1pro", "hears -100 to -36 dBm")]
+)
+async def test_the_recording_says_from_where_to_where_a_module_hears(plug, listening, profile, words):
+    radio = await plug(profile)
+    async with listening(radio.wire.port) as heard:
+        await heard.until(lambda: heard.states)
+    assert words in heard.states[0].reason
+
+
+async def test_a_module_in_another_pan_is_refused(plug):
+    radio = await plug(ID=0x10)
+    words = await open_fails(radio.wire.port, pan=0x3332)
+    assert "is in PAN 10" in words and "set ID=3332" in words
+
+
 async def test_the_ceiling_can_be_given(plug, listening):
     radio = await plug()
     async with listening(radio.wire.port, saturation_dbm=-50) as heard:
