@@ -37,13 +37,23 @@ def levels_loglik(
     loss: float,
     outlier: float,
     outlier_width: float,
+    log_silent: FloatArray,
+    log_heard: FloatArray,
+    silent_from: float,
+    per_sigma: float,
     out: FloatArray,
 ) -> None:
-    """out (h, n): log p(readings | source at the point with that level). See `sensing.levels`."""
+    """out (h, n): log p(readings | source at the point with that level). See `sensing.levels`.
+
+    `log_silent` holds log P(silent) at x = silent_from, silent_from + 1 / per_sigma, ... standard deviations of the
+    mean above the threshold; `log_heard` the log of the density's shape at |t| = 0, 1 / per_sigma, ... .
+    """
     n = points.shape[0]
     m = robots.shape[0]
     n_levels = levels.shape[0]
     slope = ten_beta / math.log(10.0) * place_sigma
+    silent_top = log_silent.shape[0] - 1.000001
+    heard_top = log_heard.shape[0] - 1.000001
     for i in range(n):
         for h in range(n_levels):
             out[h, i] = 0.0
@@ -53,21 +63,26 @@ def levels_loglik(
             d2 = max(de * de + dn * dn, min_range * min_range)
             attenuation = 0.5 * ten_beta * math.log10(d2)
             spread = math.sqrt(sigma * sigma + slope * slope / (d2 + place_sigma * place_sigma))
-            wide = math.sqrt(spread * spread + 1.0 / 12.0)
-            norm = 1.0 / (wide * math.sqrt(2.0 * math.pi))
-            for h in range(n_levels):
-                mean = levels[h] - attenuation
-                if math.isnan(rss[q]):
-                    p = loss + (1.0 - loss) * _upper((mean - threshold - 0.5) / spread)
-                elif saturated[q] > 0.0:
-                    t = (rss[q] - 0.5 - mean) / spread
+            if math.isnan(rss[q]):
+                scale = per_sigma / spread
+                shift = (-threshold - 0.5 - attenuation) * scale - silent_from * per_sigma
+                for h in range(n_levels):
+                    at = min(max(levels[h] * scale + shift, 0.0), silent_top)
+                    k = int(at)
+                    out[h, i] += log_silent[k] + (at - k) * (log_silent[k + 1] - log_silent[k])
+            elif saturated[q] > 0.0:
+                for h in range(n_levels):
+                    t = (rss[q] - 0.5 - (levels[h] - attenuation)) / spread
                     p = (1.0 - loss) * ((1.0 - outlier) * _upper(t) + outlier * _upper(t / outlier_width))
-                else:
-                    t = (rss[q] - mean) / wide
-                    core = (1.0 - outlier) * math.exp(-0.5 * t * t)
-                    tail = outlier / outlier_width * math.exp(-0.5 * t * t / (outlier_width * outlier_width))
-                    p = (1.0 - loss) * norm * (core + tail)
-                out[h, i] += math.log(max(p, 1e-300))
+                    out[h, i] += math.log(max(p, 1e-300))
+            else:
+                wide = math.sqrt(spread * spread + 1.0 / 12.0)
+                norm = math.log((1.0 - loss) / (wide * math.sqrt(2.0 * math.pi)))
+                scale = per_sigma / wide
+                for h in range(n_levels):
+                    at = min(abs(rss[q] + attenuation - levels[h]) * scale, heard_top)
+                    k = int(at)
+                    out[h, i] += norm + log_heard[k] + (at - k) * (log_heard[k + 1] - log_heard[k])
 
 
 @njit(cache=True, nogil=True)
