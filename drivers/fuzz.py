@@ -12,6 +12,7 @@ import random
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any
 
 import typer
@@ -141,11 +142,42 @@ def _capture(head: bytes, record: Callable[[bytes], bytes]) -> Codec:
     return Codec(lambda rng: record(_tap(rng)), survives)
 
 
+@cache
+def _mavlink_writer() -> Any:
+    from drivers.mavlink.codec import mavlink
+
+    return mavlink.MAVLink(None, 7, 1)
+
+
+def _mavlink_frame(rng: random.Random) -> bytes:
+    from drivers.mavlink.codec import mavlink
+
+    numbers = (rng.getrandbits(30) for _ in range(5))
+    message = mavlink.MAVLink_global_position_int_message(*numbers, 1, 2, 3, rng.getrandbits(16))
+    return bytes(message.pack(_mavlink_writer()))
+
+
+def _mavlink() -> Codec:
+    """A false start may hold back what follows until its claimed length, 280 bytes at most, has come."""
+
+    def survives(damaged: bytes, last: bytes) -> bool:
+        from drivers.mavlink.codec import Parser
+
+        codec = Parser()
+        for at in range(0, len(damaged), 97):
+            codec.parse(damaged[at : at + 97])
+        after = [message for _ in range(1 + 300 // len(last)) for message in codec.parse(last)]
+        return bool(after) and bytes(after[-1].get_msgbuf()) == last and len(codec._buffer) < KEEPS
+
+    return Codec(_mavlink_frame, survives)
+
+
 CODECS: dict[str, tuple[Codec, Callable[[random.Random], bytes], bytes]] = {
     "xbee": (_xbee(False), lambda rng: b"", b""),
     "xbee-escaped": (_xbee(True), lambda rng: b"", b""),
     "nrf": (_sniffer(NrfText, _nrf_line), lambda rng: _nrf_line(rng, b"the last"), b""),
     "ti": (_sniffer(TiBinary, _ti_packet), lambda rng: _ti_packet(rng, b"the last"), b""),
+    "mavlink": (_mavlink(), _mavlink_frame, b""),
     "pcap": (
         _capture(classic_head(), lambda data: classic_record(5_000_000_000, data)),
         lambda rng: classic_record(6_000_000_000, _tap(rng)),

@@ -2,6 +2,7 @@
 
 import logging
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -184,6 +185,7 @@ def _messages(path: Path, kinds: Any, track: Track) -> Any:
     """Messages out of a log by pymavlink's readers; what they cannot read ends the log, not us."""
     from pymavlink import mavutil
 
+    environment = dict(os.environ)
     try:
         log = mavutil.mavlink_connection(str(path))
     except (OSError, ValueError, IndexError, KeyError, TypeError) as error:
@@ -196,6 +198,11 @@ def _messages(path: Path, kinds: Any, track: Track) -> Any:
         logger.warning("%s: not readable to its end: %s", path, error)
     finally:
         log.close()
+        # pymavlink notes the version it found in the environment, where whoever runs beside us would heed it.
+        for name in ("MAVLINK20", "MAVLINK09", "MAVLINK_DIALECT"):
+            os.environ.pop(name, None)
+            if name in environment:
+                os.environ[name] = environment[name]
 
 
 def _recording(path: Path) -> Track:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -135,6 +136,14 @@ def test_a_cut_dataflash_log_gives_what_came_before(name, lat_deg, lon_deg):
     track = read_track(LOGS / name)
     assert track.spots
     assert all(abs(spot.first - lat_deg) < 1e-3 and abs(spot.second - lon_deg) < 1e-3 for spot in track.spots)
+
+
+@logs
+def test_reading_a_log_leaves_the_process_alone():
+    before = dict(os.environ)
+    read_track(LOGS / "vtol.tlog")
+    read_track(LOGS / "pymavlink_test.BIN")
+    assert dict(os.environ) == before
 
 
 @logs
