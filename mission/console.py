@@ -60,7 +60,9 @@ def _teams(progress: Progress) -> list[tuple[str, str]]:
     """Team to what its robots are doing; told apart where they differ."""
     rows = []
     for team in progress.kernel.settings.engine.teams:
-        doing = [progress.doing.get(robot, "waiting") for robot in team]
+        doing = [
+            progress.doing.get(robot, "waiting").split(":")[0] for robot in team
+        ]  # reasons are in the notes
         same = len(set(doing)) == 1
         rows.append(
             (
@@ -76,7 +78,7 @@ def _line(progress: Progress) -> str:
     doing = "; ".join(f"{team} {what}" for team, what in _teams(progress))
     return (
         f"{progress.elapsed_s:6.0f} s  {progress.detections:3d} detections  {found} found  "
-        f"{candidates} candidates  {doing}"
+        f"{candidates} candidates  left {progress.probability_left:.2f}  {doing}"
     )
 
 
@@ -84,7 +86,7 @@ def _panel(progress: Progress) -> Group:
     found, candidates = _found(progress)
     head = Text(f"{progress.elapsed_s:6.0f} s   {progress.detections} detections   ", style="bold")
     head.append(f"{found} found", style="bold green" if found else "bold")
-    head.append(f"   {candidates} candidates")
+    head.append(f"   {candidates} candidates   one is left: {progress.probability_left:.2f}")
     table = Table.grid(padding=(0, 2))
     for team, what in _teams(progress):
         table.add_row(team, what)
@@ -153,18 +155,10 @@ def sources_table(sources: list[dict[str, Any]]) -> None:
         Console().print("no source was heard")
         return
     table = Table()
-    for column in (
-        "source",
-        "state",
-        "east m",
-        "north m",
-        "sigma m",
-        "P within one cell",
-        "receptions",
-        "rate Hz",
-        "note",
-    ):
-        table.add_column(column, justify="left" if column in ("state", "note") else "right")
+    for column in ("source", "state", "east m", "north m", "± m", "P", "heard", "rate Hz", "note"):
+        table.add_column(
+            column, justify="left" if column in ("state", "note") else "right", no_wrap=column != "note"
+        )
     for s in sources:
         table.add_row(
             str(s["ident"]), s["state"], f"{s['east_m']:.2f}", f"{s['north_m']:.2f}", f"{s['sigma_m']:.2f}",

@@ -54,6 +54,8 @@ class Progress:
     doing: dict[str, str]
     """Robot to what it is on: "search", "resolve 3", "held: ..."."""
     notes: tuple[str, ...]
+    probability_left: float = 1.0
+    """That a source of the reference rate is still not found, as last looked at."""
 
 
 @dataclass
@@ -80,6 +82,7 @@ class Runner:
         self._doing: dict[str, str] = {}
         self._last_belief_s = -BELIEF_EVERY_S
         self._last_beat_s = -BEAT_S
+        self._left = 1.0
         self._steered = False
 
     async def run(self) -> str:
@@ -236,13 +239,14 @@ class Runner:
             self.recorder.flush()
 
     def _record_belief(self, number: int, t_ns: int) -> None:
+        self._left = self.kernel.belief.probability_left()
         self.recorder.belief(
             number,
             t_ns,
             self.kernel.belief.presence(),
             cell_m=self.mission.kernel.engine.grid.cell_m,
             digest=self.kernel.digest(),
-            numbers={"probability_left": self.kernel.belief.probability_left()},
+            numbers={"probability_left": self._left},
         )
 
     def _show(self, t_ns: int, outcome: Outcome) -> None:
@@ -253,6 +257,7 @@ class Runner:
                 self.kernel,
                 dict(self._doing),
                 outcome.notes,
+                self._left,
             )
         )
 

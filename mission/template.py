@@ -24,7 +24,7 @@ def mission_text(
     *,
     name: str = "my-field",
     seed: int = 0,
-    origin_deg: tuple[float, float] = (30.618500, -96.336500),
+    origin_deg: tuple[float, float] = (47.397700, 8.545600),
     size_m: float = 25.0,
     cell_m: float = 0.5,
     antenna: str = "antenna.toml",
