@@ -77,6 +77,7 @@ def look(
     source: Source,
     calibration: Annotated[Path, typer.Argument(metavar="CAMERA.TOML", help="Calibration file.")],
     marker: Annotated[list[str], typer.Option(help="ROBOT=NUMBER; repeat for each robot.")],
+    height_m: Annotated[float, typer.Option(min=0.0, help="Markers' height above the ground.")] = 0.0,
     family: Annotated[str, typer.Option(help="aruco-4x4 ... apriltag-36h11.")] = "aruco-4x4",
     out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write.")] = Path("camera.png"),
     as_json: AsJson = False,
@@ -98,7 +99,7 @@ def look(
         name, _, number = each.partition("=")
         if not name or not number.isdigit():
             raise ConfigError(f"--marker: expected ROBOT=NUMBER, got {each!r}")
-        robots[name] = {"marker": int(number)}
+        robots[name] = {"marker": int(number), "height_m": height_m}
     task = make_task(CameraOptions(source, str(calibration), robots, family))
     picture = one_picture(source)
     finder = Finder(task)
