@@ -30,6 +30,8 @@ class RssReading:
     lqi: int | None = None
     saturated: bool = False
     """The receiver reports at most this strength: the true one may be higher."""
+    sensitivity_dbm: float | None = None
+    """About the weakest this receiver hears: weaker packets are missing, not absent. None where not known."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,6 +94,12 @@ class ReceiverFactory(Protocol):
     def __call__(self, robot: str, options: Mapping[str, Any], around: Surroundings) -> Receiver: ...
 
 
+class PositionSourceFactory(Protocol):
+    """What an entry point in `fieldkit.positions` names."""
+
+    def __call__(self, options: Mapping[str, Any], around: Surroundings) -> PositionSource: ...
+
+
 class VehicleLinkFactory(Protocol):
     """What an entry point in `fieldkit.vehicles` names: robots that share an address share one link.
 

@@ -122,6 +122,13 @@ class VehicleTable(BaseModel):
     address: str
 
 
+class PositionsTable(BaseModel):
+    """A source of positions other than the vehicles' telemetry: the driver's name and its own options."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    driver: str
+
+
 class RobotTable(_Table):
     """One robot."""
 
@@ -151,6 +158,7 @@ class MissionFile(_Table):
     safety: SafetyTable = SafetyTable()
     team: tuple[TeamTable, ...] = Field(min_length=1)
     robot: tuple[RobotTable, ...] = Field(min_length=1)
+    positions: tuple[PositionsTable, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,6 +271,8 @@ def _check_names(file: MissionFile, where: str) -> None:
         ("fieldkit.beliefs", "engine.belief", file.engine.belief),
         ("fieldkit.planners", "engine.planner", file.engine.planner),
     ]
+    for number, source in enumerate(file.positions):
+        wanted.append(("fieldkit.positions", f"positions.{number}.driver", source.driver))
     for robot in file.robot:
         wanted.append(("fieldkit.receivers", f"robot {robot.name!r}: receiver.driver", robot.receiver.driver))
         wanted.append(("fieldkit.vehicles", f"robot {robot.name!r}: vehicle.driver", robot.vehicle.driver))

@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldkit import plugins
 from fieldkit.clock import Clock, RealClock, ScaledClock
-from fieldkit.ports import Receiver, Surroundings, VehicleLink
+from fieldkit.ports import PositionSource, Receiver, Surroundings, VehicleLink
 from fieldkit.world.sources import TransientSource
 from mission.config import Mission, RobotTable
 
@@ -26,6 +26,8 @@ class Rig:
     clock: Clock
     receivers: tuple[Receiver, ...]
     links: tuple[VehicleLink, ...]
+    positions: tuple[PositionSource, ...] = ()
+    """Other sources of positions; the robots they know are not taken from telemetry."""
     emulator: Any = None
     """The emulated field, for injecting faults; None on a live rig."""
 
@@ -49,7 +51,12 @@ def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emula
         plugins.load("fieldkit.vehicles", driver)(address, options, around)
         for (driver, address), options in grouped.items()
     ]
-    return Rig(clock, tuple(receivers), tuple(links), emulator)
+    positions = []
+    for table in () if emulator is not None else mission.file.positions:
+        positions.append(
+            plugins.load("fieldkit.positions", table.driver)(dict(table.model_extra or {}), around)
+        )
+    return Rig(clock, tuple(receivers), tuple(links), tuple(positions), emulator)
 
 
 @contextmanager

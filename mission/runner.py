@@ -24,12 +24,13 @@ from fieldkit.messages import (
     GoTo,
     Hold,
     Operator,
+    Pose,
     ReceiverState,
     Return,
     Tick,
     VehicleState,
 )
-from fieldkit.ports import Receiver, VehicleLink
+from fieldkit.ports import PositionSource, Receiver, VehicleLink
 from fieldkit.recording.writer import RecordingWriter
 from mission.config import Mission
 from mission.kernel import Kernel, Outcome, state_digest
@@ -77,6 +78,7 @@ class Runner:
         self._number = 0
         self._tick_waits = False
         self._links = {robot: link for link in self.rig.links for robot in link.robots}
+        self._placed = {robot for source in self.rig.positions for robot in source.robots}
         self._orders: dict[str, Command] = {}
         self._order_ready = {robot: asyncio.Event() for robot in self._links}
         self._doing: dict[str, str] = {}
@@ -91,7 +93,7 @@ class Runner:
         pool = ThreadPoolExecutor(1, thread_name_prefix="kernel")
         async with contextlib.AsyncExitStack() as stack:
             stack.callback(pool.shutdown)
-            for device in (*self.rig.receivers, *self.rig.links):
+            for device in (*self.rig.receivers, *self.rig.links, *self.rig.positions):
                 await stack.enter_async_context(device)
             tasks: list[asyncio.Task[Any]] = [
                 asyncio.create_task(self._pump(self._readings(r)), name=f"receiver {r.robot}")
@@ -102,6 +104,12 @@ class Runner:
                     self._pump(self._vehicle_events(link)), name=f"link {' '.join(link.robots)}"
                 )
                 for link in self.rig.links
+            ]
+            tasks += [
+                asyncio.create_task(
+                    self._pump(self._poses(source)), name=f"positions {' '.join(source.robots)}"
+                )
+                for source in self.rig.positions
             ]
             tasks += [asyncio.create_task(self._obey(robot), name=f"orders {robot}") for robot in self._links]
             tasks.append(asyncio.create_task(self._ticker(), name="ticker"))
@@ -148,11 +156,23 @@ class Runner:
         """A link that fails is down for all its robots; the others go on."""
         try:
             async for event in link.events():
-                yield event
+                if not (isinstance(event, Pose) and event.robot in self._placed):
+                    yield event
         except DeviceError as error:
             logger.warning("%s: link: %s", ", ".join(link.robots), error)
             for robot in link.robots:
                 yield VehicleState(self.rig.clock.now_ns(), robot, "unknown", False, False, None, str(error))
+
+    async def _poses(self, source: PositionSource) -> AsyncIterator[Event]:
+        """A source that fails leaves its robots without a position: safety holds them."""
+        try:
+            async for pose in source.poses():
+                yield pose
+        except DeviceError as error:
+            logger.warning("positions of %s: %s", ", ".join(source.robots), error)
+            self.recorder.note(
+                "warning", f"positions of {', '.join(source.robots)}: {error}", self.rig.clock.now_ns()
+            )
 
     async def _ticker(self) -> None:
         while True:

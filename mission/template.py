@@ -98,5 +98,8 @@ max_speed_m_s = 0.4
 pose_timeout_s = 2.0
 min_separation_m = {min_separation_m}       # between way-points of different robots
 
+# [[positions]]              # where robots are, if not from their own telemetry: see docs/camera.md
+# driver = "camera"
+
 {teams}
 {each}"""

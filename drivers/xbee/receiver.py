@@ -253,5 +253,6 @@ class XBeeReceiver(KeptReceiver):
                 channel=self.settings.channel if self.settings else None,
                 frame_id=heard.frame_id,
                 saturated=heard.rss_dbm >= self._saturation_dbm,
+                sensitivity_dbm=self.settings.sensitivity_dbm if self.settings else None,
             )
         )

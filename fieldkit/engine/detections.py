@@ -104,8 +104,8 @@ class Associator:
             self._up[state.robot].append((state.t_ns, state.up))
 
     def reading(self, reading: RssReading) -> None:
-        """Take in a reading; absurd ones (not finite, positive, below -150 dBm) are ignored."""
-        if reading.robot not in self._tracks or not -150.0 <= reading.rss_dbm <= 0.0:
+        """Take in a reading; absurd ones (not finite, positive, below -150 dBm) and energy scans are ignored."""
+        if reading.robot not in self._tracks or not -150.0 <= reading.rss_dbm <= 0.0 or reading.via == "ed":
             return
         if reading.t_ns < self._closed_ns:
             self.late_readings += 1

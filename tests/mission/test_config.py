@@ -33,6 +33,11 @@ def change(folder: Path, old: str, new: str) -> Path:
         ("cell_m = 0.2", "cell_meters = 0.2", ["field.cell_meters", "no such key"]),
         ('belief = "intensity"', 'belief = "oracle"', ["engine.belief", "intensity", "spog", "'oracle'"]),
         ('driver = "xbee"', 'driver = "xbox"', ["receiver.driver", "xbee", "'xbox'"]),
+        (
+            "schema = 1",
+            'schema = 1\npositions = [{driver = "crystal ball"}]',
+            ["positions.0.driver", "crystal ball"],
+        ),
         ("schema = 1", "schema = 7", ["schema", "newer", "update"]),
         ("schema = 1", "schema = [", ["TOML"]),
         ("system_id = 2", "system_id = 1", ["'r2'", "system_id", "'r1'"]),

@@ -1,13 +1,14 @@
 """The shell over in-process stand-ins: start, faults, end; and what it leaves behind."""
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError, DeviceTimeout
-from fieldkit.messages import GoTo, Hold, Operator, Waypoint
+from fieldkit.messages import GoTo, Hold, Operator, Pose, Waypoint
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
@@ -97,6 +98,36 @@ def test_the_operators_hold_reaches_every_vehicle(tmp_path: Path) -> None:
     pressed = next(number for number, _, event in recording.events() if isinstance(event, Operator))
     assert {c.robot for n, c in commands if n == pressed and isinstance(c, Hold)} == {"r1", "r2", "r3", "r4"}
     assert not [c for n, c in commands if n > pressed and isinstance(c, GoTo)]
+
+
+def test_a_position_source_takes_the_place_of_telemetry(tmp_path: Path) -> None:
+    class Overhead:
+        """Says that r1 stands still at a place of its own."""
+
+        robots = ("r1",)
+
+        def __init__(self, clock: ScaledClock) -> None:
+            self.clock = clock
+
+        async def __aenter__(self) -> "Overhead":
+            return self
+
+        async def __aexit__(self, *_: object) -> None:
+            pass
+
+        async def poses(self):  # type: ignore[no-untyped-def]
+            for _ in range(10_000):
+                yield Pose(self.clock.now_ns(), "r1", 7.7, 7.7, origin="camera")
+                await self.clock.sleep(0.25)
+
+    def with_camera(mission) -> Rig:  # type: ignore[no-untyped-def]
+        rig = rig_for(mission)
+        return replace(rig, positions=(Overhead(rig.clock),))  # type: ignore[arg-type]
+
+    fly(tmp_path, rig_of=with_camera, duration_s=10.0)
+    poses = [e for _, _, e in open_recording(tmp_path / "mission.mcap").events() if isinstance(e, Pose)]
+    assert {p.origin for p in poses if p.robot == "r1"} == {"camera"}
+    assert {p.origin for p in poses if p.robot == "r2"} == {"sim"}
 
 
 def test_silent_vehicles_are_named_before_anything_moves(
