@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import logging
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
@@ -20,7 +21,7 @@ REOPEN_EVERY_S = 0.5
 """Wall time between attempts to take a lost device back."""
 
 
-class KeptReceiver:
+class KeptReceiver(ABC):
     """A `Receiver` around a device that may go away.
 
     A subclass opens and closes its device, and from its reader thread gives readings to `_give` and calls
@@ -37,13 +38,13 @@ class KeptReceiver:
         self._gate = threading.Lock()
         """Keeps states and readings in order: no reading before its `up`, none after `down`."""
 
+    @abstractmethod
     def _open_device(self, first: bool) -> str:
         """Open; what was opened, in words. In the worker thread. Raises `DeviceError`."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _close_device(self) -> None:
         """Close whatever is open. In the worker thread."""
-        raise NotImplementedError
 
     def _start(self) -> None:
         """Called when readings are wanted: the device is open and has been announced."""
