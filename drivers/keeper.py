@@ -46,7 +46,7 @@ class KeptReceiver(ABC):
     def _close_device(self) -> None:
         """Close whatever is open. In the worker thread."""
 
-    def _start(self) -> None:
+    def _start(self) -> None:  # noqa: B027 -- most devices need nothing more
         """Called when readings are wanted: the device is open and has been announced."""
 
     async def __aenter__(self) -> Self:
