@@ -27,6 +27,8 @@ PATHS_PER_CANDIDATE = 16
 MAX_CANDIDATES = 6
 SAMPLES = 16
 STEP_S = 1.5
+SPACINGS = (0.6, 1.0)
+"""How far abreast teams may search, in typical ranges; candidates are resolved at the first."""
 RESOLVE_VALUE = 2.0
 RECEPTION_VALUE = 0.4
 GROUND_VALUE = 1.0
@@ -171,7 +173,7 @@ class InfoGainPlanner:
         typical_m = float(np.median(ranges))
         centre = start.mean(axis=0)
         length_m = self.settings.max_speed_m_s * horizon_s
-        spacings = [max(self.settings.min_separation_m, factor * typical_m) for factor in (0.6, 1.0)]
+        spacings = [max(self.settings.min_separation_m, factor * typical_m) for factor in SPACINGS]
         options: list[_Option] = []
 
         def add(purpose: str, corners: list[FloatArray] | FloatArray, spacing_m: float) -> None:
