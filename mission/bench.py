@@ -187,13 +187,17 @@ def loaded_belief(engine: EngineSettings, detections: int, rng: np.random.Genera
 
 
 def belief() -> dict[str, Any]:
-    """One update and one replan of the default engine with 8 robots and 300 detections, by field size."""
-    return {"2,500 cells": _one_look(50, 300), "250,000 cells": _one_look(500, 300)}
+    """One update and one replan of the default engine: 2,500 cells, 8 robots, 8 sources, 100 detections."""
+    return {"2,500 cells, 100 detections": _one_look(50, 100)}
 
 
 def belief_long() -> dict[str, Any]:
-    """The same after 300 and after 10,000 detections: cost must not grow with their number. Takes minutes."""
-    return {"300 detections": _one_look(50, 300), "10,000 detections": _one_look(50, 10_000)}
+    """The same with more detections and on a larger field. Loading them takes many minutes."""
+    return {
+        "2,500 cells, 300 detections": _one_look(50, 300),
+        "250,000 cells, 300 detections": _one_look(500, 300),
+        "2,500 cells, 10,000 detections": _one_look(50, 10_000),
+    }
 
 
 def _one_look(cells: int, detections: int) -> dict[str, float]:
