@@ -7,7 +7,7 @@ same drivers, through the same wires, as the live one.
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -141,8 +141,3 @@ def _free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def with_duration(mission: Mission, max_duration_s: float) -> Mission:
-    """The same mission with another time limit."""
-    return replace(mission, kernel=replace(mission.kernel, max_duration_s=max_duration_s))
