@@ -9,7 +9,7 @@ from fieldkit.antenna.model import Antenna
 from fieldkit.files import write_whole
 from fieldkit.messages import Command, Event
 from fieldkit.recording.writer import RecordingWriter
-from fieldkit.world.sources import random_sources
+from fieldkit.world.sources import TransientSource, random_sources
 from mission.config import Mission, read_mission
 from mission.kernel import Kernel, Outcome, state_digest
 from mission.rigs import start_places
@@ -21,7 +21,14 @@ ANTENNA = Antenna(2.53, -62.0, 3.3, -70.0, -36.0)
 LEVELS_DB = (-8.0, -6.0, -4.0, -2.0, 0.0)
 
 
-def small_mission(folder: Path, *, seed: int = 1, duration_s: float = 120.0, robots: int = 4) -> Mission:
+def small_mission(
+    folder: Path,
+    *,
+    seed: int = 1,
+    duration_s: float = 120.0,
+    robots: int = 4,
+    sources_found: int | None = None,
+) -> Mission:
     """A 10 m x 10 m mission in `folder` (mission.toml, antenna.toml), checked."""
     write_whole(folder / "antenna.toml", dump_antenna(AntennaFile(ANTENNA)))
     text = mission_text(
@@ -33,6 +40,7 @@ def small_mission(folder: Path, *, seed: int = 1, duration_s: float = 120.0, rob
         expected=3.0,
         planning_period_s=20.0,
         max_duration_s=duration_s,
+        sources_found=sources_found,
         fence_margin_m=0.2,
         min_separation_m=0.5,
         robots=[TemplateRobot(f"r{k}", f"port{k}", "udpin:127.0.0.1:14550", k) for k in range(1, robots + 1)],
@@ -41,10 +49,27 @@ def small_mission(folder: Path, *, seed: int = 1, duration_s: float = 120.0, rob
     return read_mission(folder / "mission.toml")
 
 
-def record_simulated(folder: Path, *, seed: int = 1, duration_s: float = 120.0, robots: int = 4) -> Path:
-    """Simulate and record such a mission with three sources; the recording's path."""
-    mission = small_mission(folder, seed=seed, duration_s=duration_s, robots=robots)
-    sources = tuple(random_sources(3, 10.0, 10.0, LEVELS_DB, 0.1, np.random.default_rng([seed, 7])))
+def hidden_sources(seed: int) -> tuple[TransientSource, ...]:
+    """Three transmitters somewhere in that field."""
+    return tuple(random_sources(3, 10.0, 10.0, LEVELS_DB, 0.1, np.random.default_rng([seed, 7])))
+
+
+def record_simulated(
+    folder: Path,
+    *,
+    seed: int = 1,
+    duration_s: float = 120.0,
+    robots: int = 4,
+    sources_found: int | None = None,
+) -> Path:
+    """Simulate and record such a mission with three sources; the recording's path.
+
+    It ends when all three are found; to have it last for `duration_s`, ask for more `sources_found` than there are.
+    """
+    mission = small_mission(
+        folder, seed=seed, duration_s=duration_s, robots=robots, sources_found=sources_found
+    )
+    sources = hidden_sources(seed)
     truth = Truth(ANTENNA, sources, tuple(start_places(mission).values()))
     path = folder / "mission.mcap"
     safety = Safety(mission.safety)
