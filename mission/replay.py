@@ -1,6 +1,7 @@
 """A recorded mission through the same kernel and safety again: the same belief and commands, bit for bit, or the
 first event where they differ."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -8,10 +9,10 @@ from typing import Any
 from fieldkit.antenna.file import AntennaFile, parse_antenna
 from fieldkit.clock import wall_s
 from fieldkit.errors import DataError, RecordingError, ReplayMismatch
-from fieldkit.messages import Command
-from fieldkit.recording.reader import Recording, open_recording
+from fieldkit.messages import Command, Event
+from fieldkit.recording.reader import Recording, Step, open_recording
 from mission.config import Mission, assemble, parse_mission
-from mission.kernel import Kernel, state_digest
+from mission.kernel import Kernel, Outcome, state_digest
 from mission.safety import Safety
 
 
@@ -28,6 +29,8 @@ class Replayed:
     complete: bool
     """Whether the recording was whole."""
     missing: str
+    compared: int = 0
+    """Events whose consequences were compared with the recorded ones."""
 
 
 def recorded_mission(
@@ -64,12 +67,18 @@ def same_antenna(recording: Recording, mission: Mission, given: Path) -> None:
 
 
 def replay(
-    path: Path, *, mission: Mission | None = None, check: bool = True, until_s: float | None = None
+    path: Path,
+    *,
+    mission: Mission | None = None,
+    check: bool = True,
+    until_s: float | None = None,
+    on_step: Callable[[float, Event, Outcome, Kernel], None] | None = None,
 ) -> Replayed:
     """Feed the recorded inbox through a fresh kernel and safety.
 
     With `check`, every command and every recorded belief digest must come out the same: `ReplayMismatch` names the
     first event that differs. Without, the outcome is a what-if: another antenna, belief or planner on the same inbox.
+    `on_step` is called after each event with its mission time: to pace a replay, or to show it.
     """
     recording = open_recording(path)
     mission = mission or recorded_mission(recording)
@@ -77,18 +86,21 @@ def replay(
     expected = _Expected(recording) if check else None
     began = wall_s()
     count, first_ns, last_ns = 0, None, 0
-    for number, log_ns, event in recording.events():
-        first_ns = log_ns if first_ns is None else first_ns
-        if until_s is not None and (log_ns - first_ns) * 1e-9 > until_s:
+    for step in recording.steps():
+        first_ns = step.log_time_ns if first_ns is None else first_ns
+        t_s = (step.log_time_ns - first_ns) * 1e-9
+        if until_s is not None and t_s > until_s:
             break
-        last_ns = log_ns
+        last_ns = step.log_time_ns
         count += 1
-        outcome = kernel.step(event)
-        given = [("safety", command) for command in safety.observe(event)]
+        outcome = kernel.step(step.event)
+        given: list[tuple[str, Command]] = [("safety", command) for command in safety.observe(step.event)]
         for command in outcome.commands:
             given += [("kernel", command), ("safety", safety.allow(command))]
         if expected is not None:
-            expected.compare(number, event, given, kernel)
+            expected.compare(step, given, kernel)
+        if on_step is not None:
+            on_step(t_s, step.event, outcome, kernel)
     if count == 0:
         raise RecordingError(f"{path}: it holds no events")
     if expected is not None and until_s is None:
@@ -101,47 +113,55 @@ def replay(
         wall_s() - began,
         recording.complete,
         recording.missing,
+        count if expected is None else expected.compared,
     )
 
 
 class _Expected:
-    """What the recording says each event led to."""
+    """Compares what each event led to with what the recording says.
+
+    In a recording that is not whole, only up to the first gap, and not the last event: beyond, nothing is known.
+    """
 
     def __init__(self, recording: Recording) -> None:
         self.path = recording.path
+        self.compared = 0
         self._whole = recording.complete
-        self._commands: dict[int, list[tuple[str, Command]]] = {}
-        for number, _, origin, command in recording.commands():
-            self._commands.setdefault(number, []).append((origin, command))
-        self._digests = {number: said.digest for number, _, said in recording.digests() if said.digest}
-        self._last = max((*self._commands, *self._digests), default=0)
+        self._waiting: tuple[Step, list[tuple[str, Command]], str] | None = None
+        self._next = 0
+        self._lost = False
         self._result: dict[str, Any] | None = recording.result()
 
-    def compare(self, number: int, event: Any, given: list[tuple[str, Command]], kernel: Kernel) -> None:
-        """Raise `ReplayMismatch` where this event led to something else than recorded.
-
-        Beyond the last record of a cut file nothing is known to compare with.
-        """
-        if not self._whole and number >= self._last:
+    def compare(self, step: Step, given: list[tuple[str, Command]], kernel: Kernel) -> None:
+        """Raise `ReplayMismatch` where this event led to something else than recorded."""
+        digest = kernel.digest() if step.digest else ""
+        if self._whole:
+            self._check(step, given, digest)
             return
-        recorded = self._commands.get(number, [])
-        if recorded != given:
+        # What an event led to stands behind it: it is all there only where the next event is there too.
+        if self._waiting is not None and step.inbox_number != self._next:
+            self._lost = True
+        elif self._waiting is not None and not self._lost:
+            self._check(*self._waiting)
+        self._waiting, self._next = (step, given, digest), step.inbox_number + 1
+
+    def _check(self, step: Step, given: list[tuple[str, Command]], digest: str) -> None:
+        where = f"event {step.inbox_number} ({type(step.event).__name__} at {step.event.t_ns} ns)"
+        if step.commands != given:
             raise ReplayMismatch(
-                f"{self.path}: event {number} ({type(event).__name__} at {event.t_ns} ns) led to other "
-                f"commands: recorded "
-                f"{_say(recorded)}, replayed {_say(given)}"
+                f"{self.path}: {where} led to other commands: recorded {_say(step.commands)}, replayed {_say(given)}"
             )
-        digest = self._digests.get(number)
-        if digest is not None and kernel.digest() != digest:
+        if step.digest != digest:
             raise ReplayMismatch(
-                f"{self.path}: after event {number} ({type(event).__name__} at {event.t_ns} ns) the belief "
-                f"differs: recorded "
-                f"{digest[:16]}, replayed {kernel.digest()[:16]}"
+                f"{self.path}: after {where} the belief differs: recorded {step.digest[:16]}, replayed {digest[:16]}"
             )
+        self.compared += 1
 
     def compare_end(self, kernel: Kernel) -> None:
-        """The final digests, where the mission came to its end."""
-        if self._result is not None and self._result.get("state_hash") != state_digest(kernel):
+        """The final digests, where the mission came to its end and nothing of it is missing."""
+        if not self._whole or self._result is None:
+            return
+        if self._result.get("state_hash") != state_digest(kernel):
             raise ReplayMismatch(f"{self.path}: the final state differs from the recorded one")
 
 

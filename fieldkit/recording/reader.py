@@ -42,6 +42,19 @@ class BeliefGrid:
 
 
 @dataclass(slots=True)
+class Step:
+    """One event with what it led to."""
+
+    inbox_number: int
+    log_time_ns: int
+    event: Event
+    commands: list[tuple[str, Command]] = field(default_factory=list)
+    """("kernel" or "safety", command), in their order."""
+    digest: str = ""
+    """The belief's hash after it, where one was recorded."""
+
+
+@dataclass(slots=True)
 class Recording:
     """A recording that has been opened. Each method makes its own pass through the file."""
 
@@ -70,12 +83,31 @@ class Recording:
 
         Raises `RecordingError` where a message cannot be understood, naming it.
         """
-        for channel, message in walk(self.path, Contents()):
-            topic = BY_NAME.get(channel.topic)
-            if topic is None or topic is HEADER or (kinds and topic.family not in kinds):
-                continue
+        wanted = {
+            name: topic
+            for name, topic in BY_NAME.items()
+            if topic is not HEADER and (not kinds or topic.family in kinds)
+        }
+        for channel, message in walk(self.path, Contents(), wanted):
+            topic = wanted[channel.topic]
             value, origin = self._decode(topic, message.data, message.sequence)
             yield Item(topic.family, message.sequence, message.log_time, value, origin)
+
+    def steps(self) -> Iterator[Step]:
+        """Each event with what it led to, in one pass: what replay feeds to the kernel and compares with."""
+        step: Step | None = None
+        for item in self.items("event", "command", "belief"):
+            if item.kind == "event":
+                if step is not None:
+                    yield step
+                step = Step(item.inbox_number, item.log_time_ns, item.value)
+            elif step is not None and item.inbox_number == step.inbox_number:
+                if item.kind == "command":
+                    step.commands.append((item.origin, item.value))
+                elif item.value.digest:
+                    step.digest = item.value.digest
+        if step is not None:
+            yield step
 
     def events(self) -> Iterator[tuple[int, int, Event]]:
         """(inbox number, log time in ns, event): exactly what entered the kernel, in that order."""
@@ -122,10 +154,9 @@ class Recording:
 
         from fieldkit.recording.viewer import grid_values
 
-        for channel, message in walk(self.path, Contents()):
-            if channel.topic == f"/view/belief/{name}":
-                values, cell_m, origin_m, called = grid_values(Grid.FromString(message.data))
-                yield BeliefGrid(message.log_time, called, values, cell_m, origin_m)
+        for _, message in walk(self.path, Contents(), {f"/view/belief/{name}"}):
+            values, cell_m, origin_m, called = grid_values(Grid.FromString(message.data))
+            yield BeliefGrid(message.log_time, called, values, cell_m, origin_m)
 
     def summary(self) -> dict[str, Any]:
         """Duration, counts per topic, whether complete and what is missing: plain values.
