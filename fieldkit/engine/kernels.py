@@ -5,9 +5,11 @@ heard nothing; `levels` (h,) are received powers at 1 m in dBm.
 """
 
 import math
+from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import carray, njit, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from fieldkit.messages import FloatArray
@@ -150,31 +152,146 @@ def leave_one_out(loglik: FloatArray, logpost: FloatArray, weight: float) -> flo
     return math.log(max(total_with, 1e-300)) - math.log(total)
 
 
+def address(array: FloatArray) -> int:
+    """Where a C-contiguous array begins in memory: for kernels that take many arrays of unlike sizes at once.
+
+    Good for one call, while the array is held: ask again for the next.
+    """
+    return int(array.__array_interface__["data"][0])
+
+
+def _pointer_of(typing_context: Any, address: Any) -> Any:
+    """An address as a pointer to float64, for `carray`."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+
+    return types.CPointer(types.float64)(address), generate
+
+
+_as_pointer: Any = intrinsic(_pointer_of)
+
+
+@njit(cache=True, nogil=True)
+def share_out(
+    rows: IntArray,
+    share: FloatArray,
+    active: IntArray,
+    start: IntArray,
+    post: FloatArray,
+    log_exposure: FloatArray,
+    receptions: FloatArray,
+    mean_exposure: FloatArray,
+    rate_shape: float,
+    rate_prior: float,
+    log_unknown: FloatArray,
+    log_clutter: FloatArray,
+    skip_settled: bool,
+    unclaimed: FloatArray,
+    explained: FloatArray,
+) -> None:
+    """Share each detection out among the candidates that know it, the unknown and clutter, one after another.
+
+    `rows` (k, c) is the address of candidate c's log-likelihoods of detection k (float64, over its entries), or 0;
+    `share` (k, c), `post`, `receptions` (c,), `unclaimed` and `explained` (k,) are brought up to date. `active`
+    lists the entries of candidate c that count, from `start[c]`; `post` and `log_exposure` stand beside it.
+
+    What a candidate predicts leaves the detection itself out: its posterior without its share of it.
+    """
+    k_all, c_all = rows.shape
+    terms = np.empty(c_all + 2)
+    for k in range(k_all):
+        near = 0
+        settled = False
+        for c in range(c_all):
+            if rows[k, c] != 0:
+                near += 1
+                settled = settled or share[k, c] > 0.999
+        if near == 0:
+            unclaimed[k] = 1.0
+            explained[k] = log_clutter[k]
+            continue
+        if settled and skip_settled:
+            continue
+        terms[0] = log_unknown[k]
+        terms[1] = log_clutter[k]
+        top = max(terms[0], terms[1])
+        top_known = terms[1]
+        for c in range(c_all):
+            if rows[k, c] == 0:
+                continue
+            log_like = carray(_as_pointer(rows[k, c]), (active[start[c + 1] - 1] + 1,))
+            weight = share[k, c]
+            best = -1e300
+            for a in range(start[c], start[c + 1]):
+                rest = post[a] - weight * log_like[active[a]]
+                if rest > best:
+                    best = rest
+            total = 0.0
+            total_with = 0.0
+            for a in range(start[c], start[c + 1]):
+                like = log_like[active[a]]
+                rest = post[a] - weight * like - best
+                if rest > -20.0:
+                    p = math.exp(rest)
+                    total += p
+                    total_with += p * math.exp(like)
+            rate = (rate_shape + max(0.0, receptions[c] - weight)) / (rate_prior + mean_exposure[c])
+            terms[c + 2] = math.log(rate) + math.log(max(total_with, 1e-300)) - math.log(total)
+            top = max(top, terms[c + 2])
+            top_known = max(top_known, terms[c + 2])
+        all_ways = math.exp(terms[0] - top) + math.exp(terms[1] - top)
+        known_ways = math.exp(terms[1] - top_known)
+        for c in range(c_all):
+            if rows[k, c] != 0:
+                all_ways += math.exp(terms[c + 2] - top)
+                known_ways += math.exp(terms[c + 2] - top_known)
+        unclaimed[k] = math.exp(terms[0] - top) / all_ways
+        explained[k] = top_known + math.log(known_ways)
+        for c in range(c_all):
+            if rows[k, c] == 0:
+                continue
+            new = math.exp(terms[c + 2] - top) / all_ways
+            change = new - share[k, c]
+            share[k, c] = new
+            receptions[c] += change
+            if abs(change) > 1e-12:
+                log_like = carray(_as_pointer(rows[k, c]), (active[start[c + 1] - 1] + 1,))
+                for a in range(start[c], start[c + 1]):
+                    post[a] += change * (log_like[active[a]] - log_exposure[a])
+
+
 @njit(cache=True, nogil=True)
 def another_source_llr(
-    stacked: FloatArray,
-    start: IntArray,
+    rows: IntArray,
     box: IntArray,
-    rate: float,
+    factor: FloatArray,
     exposure: FloatArray,
+    rate: float,
     out: FloatArray,
 ) -> None:
     """out (levels, n_north, n_east): log likelihood ratio of one more source of that power in the cell, over none.
 
-    -rate * exposure + sum over detections of log(1 + rate * L / intensity already explaining it), the Poisson
-    process likelihood ratio. Detection k's ratio L / intensity stands in `stacked` (levels, sum of boxes) from
-    `start[k]` over its box (row0, row1, column0, column1), row by row.
+    -rate * exposure + sum over detections of log(1 + factor * L), the Poisson process likelihood ratio, where
+    `factor` (k,) is the rate over the intensity that already explains detection k. Its L, at most 1, stands at the
+    address `rows[k]`: (levels, cells of its box (row0, row1, column0, column1) row by row), float64.
     """
-    levels, rows, columns = exposure.shape
+    levels, n_north, n_east = exposure.shape
     for h in range(levels):
-        for r in range(rows):
-            for c in range(columns):
+        for r in range(n_north):
+            for c in range(n_east):
                 out[h, r, c] = -rate * exposure[h, r, c]
-        for k in range(start.shape[0]):
-            at = start[k]
+        for k in range(rows.shape[0]):
+            if factor[k] < 1e-9:  # at most 1e-9 nats a detection
+                continue
+            cells = (box[k, 1] - box[k, 0]) * (box[k, 3] - box[k, 2])
+            like = carray(_as_pointer(rows[k]), (levels * cells,))
+            at = h * cells
             for r in range(box[k, 0], box[k, 1]):
                 for c in range(box[k, 2], box[k, 3]):
-                    out[h, r, c] += math.log1p(rate * stacked[h, at])
+                    x = factor[k] * like[at]
+                    # Most cells have nothing to say of most detections: the series is right to 1e-13 there.
+                    out[h, r, c] += x - 0.5 * x * x if x < 1e-4 else math.log1p(x)
                     at += 1
 
 
@@ -194,13 +311,18 @@ def path_ground_gain(
     """Value of the ground a group of robots would cover on its path.
 
     `track` (steps, m, 2); `value` (n_north, n_east) what finding a source there is worth times its probability;
-    `planned` exposure (s) other groups will add; `hear` (k,) averaged over levels. `scratch` holds the path's own
-    exposure afterwards.
+    `planned` exposure (s) other groups will add; `hear` (k,) averaged over levels. `scratch` (as
+    `value`) holds the path's own exposure afterwards, wherever the path is heard; elsewhere it is not touched.
     """
     rows, columns = value.shape
     m = track.shape[1]
     last = hear.shape[0] - 1
-    scratch[:] = 0.0
+    # Far from the path nothing is heard: on a large field that is nearly all of it.
+    low = max(0, int(math.floor((track[:, :, 1].min() - reach) / cell)))
+    high = min(rows, int(math.floor((track[:, :, 1].max() + reach) / cell)) + 1)
+    left = max(0, int(math.floor((track[:, :, 0].min() - reach) / cell)))
+    right = min(columns, int(math.floor((track[:, :, 0].max() + reach) / cell)) + 1)
+    scratch[low:high, left:right] = 0.0
     for t in range(track.shape[0]):
         row0 = max(0, int(math.floor((track[t, :, 1].min() - reach) / cell)))
         row1 = min(rows, int(math.floor((track[t, :, 1].max() + reach) / cell)) + 1)
@@ -219,13 +341,59 @@ def path_ground_gain(
                         silent *= 1.0 - hear[k]
                 scratch[r, c] += dt * (1.0 - silent)
     gain = 0.0
-    for r in range(rows):
-        for c in range(columns):
+    for r in range(low, high):
+        for c in range(left, right):
             if scratch[r, c] > 0.0:
                 gain += (
                     value[r, c] * math.exp(-rate * planned[r, c]) * (1.0 - math.exp(-rate * scratch[r, c]))
                 )
     return gain
+
+
+@njit(cache=True, nogil=True)
+def abreast(
+    centre_path: FloatArray,
+    start: FloatArray,
+    spacing: float,
+    low: FloatArray,
+    high: FloatArray,
+    places: FloatArray,
+) -> None:
+    """places (legs, m, 2) of m robots that follow `centre_path` (legs, 2) side by side from `start` (m, 2).
+
+    Slots stand across the way to the next corner, are shifted as a whole into low..high (2,) and clipped to it;
+    two robots take them the way round that is shorter for both.
+    """
+    legs, count = places.shape[0], places.shape[1]
+    side_east, side_north = 0.0, 1.0
+    before = start.copy()
+    for leg in range(legs):
+        centre_east, centre_north = before[:, 0].mean(), before[:, 1].mean()
+        step_east = centre_path[leg, 0] - centre_east
+        step_north = centre_path[leg, 1] - centre_north
+        length = math.hypot(step_east, step_north)
+        if length > 1e-6:
+            side_east, side_north = -step_north / length, step_east / length
+        for q in range(count):
+            offset = (q - (count - 1) / 2.0) * spacing
+            places[leg, q, 0] = centre_path[leg, 0] + offset * side_east
+            places[leg, q, 1] = centre_path[leg, 1] + offset * side_north
+        for axis in range(2):
+            shift = max(low[axis] - places[leg, :, axis].min(), 0.0)
+            shift += min(high[axis] - places[leg, :, axis].max(), 0.0)
+            for q in range(count):
+                places[leg, q, axis] = min(max(places[leg, q, axis] + shift, low[axis]), high[axis])
+        if count == 2:
+            straight = 0.0
+            crossed = 0.0
+            for q in range(2):
+                e, n = before[q, 0], before[q, 1]
+                straight += math.hypot(places[leg, q, 0] - e, places[leg, q, 1] - n)
+                crossed += math.hypot(places[leg, 1 - q, 0] - e, places[leg, 1 - q, 1] - n)
+            if crossed < straight:
+                for axis in range(2):
+                    places[leg, 0, axis], places[leg, 1, axis] = places[leg, 1, axis], places[leg, 0, axis]
+        before = places[leg].copy()
 
 
 @njit(cache=True, nogil=True)

@@ -61,12 +61,12 @@ class Candidate:
 
     def log_posterior(self) -> FloatArray:
         """(h, n), not normalised."""
-        return self.log_prior + self.evidence - (RATE_SHAPE + self.receptions) * self._log_exposure
+        return self.log_prior + self.evidence - (RATE_SHAPE + self.receptions) * self.log_exposure
 
     def expose(self, exposure_s: FloatArray) -> None:
         """Bring the exposure (h, n) up to date."""
         self.exposure_s = exposure_s
-        self._log_exposure = np.log(self.rate_prior_s + exposure_s)
+        self.log_exposure = np.log(self.rate_prior_s + exposure_s)
 
     def posterior(self) -> FloatArray:
         """(h, n), sums to 1."""

@@ -12,7 +12,8 @@ import numpy as np
 
 from fieldkit.engine import kernels
 from fieldkit.engine.belief import stories
-from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, Summary, log_sum, merged_gain, summarise
+from fieldkit.engine.belief.attribution import Shares, share_out
+from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, Summary, merged_gain, summarise
 from fieldkit.engine.sensing.levels import LevelsModel
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening
@@ -31,11 +32,6 @@ BIRTH_ODDS = 1.5
 DEATH_RECEPTIONS = 0.3
 
 
-def clutter_log_hz(stored: "OpenDetection") -> float:
-    """log intensity with which noise explains a detection: any strength within 80 dB."""
-    return float(np.log(CLUTTER_HZ) - int(stored.detection.heard.sum()) * np.log(80.0))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenDetection:
     """A stored detection: its likelihood over the cells near it, scaled to a maximum of 1."""
@@ -44,7 +40,11 @@ class OpenDetection:
     box: tuple[int, int, int, int]
     like: FloatArray
     """(known levels, cells of the box, row by row)"""
+    mean_like: FloatArray
+    """(rows, columns) of the box: the same averaged over the levels."""
     log_scale: float
+    log_clutter: float
+    """log intensity with which noise explains it: any strength within 80 dB."""
     near_m: FloatArray
     """(k, 2) where it was heard."""
 
@@ -94,7 +94,7 @@ class Mixture:
         self._next_detection += 1
         stored = self._store(detection)
         self.open[number] = stored
-        self.unclaimed[number] = 1.0
+        self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
         for candidate in self.candidates:
             if self.in_reach(candidate, stored):
                 candidate.know(number, self.model.log_likelihood(detection, candidate.points_m))
@@ -127,7 +127,10 @@ class Mixture:
         points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
         log = self.model.log_likelihood(detection, points)[: self.model.n_known]
         scale = float(log.max())
-        return OpenDetection(detection, (row0, row1, column0, column1), np.exp(log - scale), scale, heard_at)
+        like = np.exp(log - scale)
+        clutter = float(np.log(CLUTTER_HZ) - len(heard_at) * np.log(80.0))
+        mean = like.mean(axis=0).reshape(north.size, east.size)
+        return OpenDetection(detection, (row0, row1, column0, column1), like, mean, scale, clutter, heard_at)
 
     def in_reach(self, candidate: Candidate, stored: OpenDetection) -> bool:
         """Whether the candidate may have been what was heard, by distance alone."""
@@ -153,40 +156,42 @@ class Mixture:
         b = self.rate_prior_s
         return here * (b / (b + exposure)) ** RATE_SHAPE * RATE_SHAPE / (b + exposure)
 
-    def _log_unknown(self, stored: OpenDetection, unknown_rate: FloatArray) -> float:
-        row0, row1, column0, column1 = stored.box
-        total = float((unknown_rate[row0:row1, column0:column1].ravel() * stored.like.mean(axis=0)).sum())
-        return float(np.log(total + 1e-300)) + stored.log_scale
+    def _log_unknown(self) -> FloatArray:
+        """(open detections,) log intensity with which sources not yet known explain each."""
+        unknown_rate = self.unknown_rate()
+        logs = np.empty(len(self.open))
+        for index, stored in enumerate(self.open.values()):
+            row0, row1, column0, column1 = stored.box
+            total = float((unknown_rate[row0:row1, column0:column1] * stored.mean_like).sum())
+            logs[index] = np.log(total + 1e-300) + stored.log_scale
+        return logs
 
     def sweep(self, sweeps: int) -> None:
-        """Shares of all open detections, from the predictions of the candidates and of the unknown."""
-        unknown_rate = self.unknown_rate()
-        logs_unknown = {k: self._log_unknown(stored, unknown_rate) for k, stored in self.open.items()}
+        """Shares of all open detections, from the predictions of the candidates and of the unknown.
+
+        All but the last sweep look only at detections still in doubt or new.
+        """
+        numbers = list(self.open)
+        log_unknown = self._log_unknown()
+        log_clutter = np.array([stored.log_clutter for stored in self.open.values()])
+        left = Shares(
+            np.array([self.unclaimed[number] for number in numbers]),
+            np.array([self.explained[number] for number in numbers]),
+        )
         for sweep in range(sweeps):
-            # All but the last sweep look only at detections still in doubt or new.
-            for number, stored in self.open.items():
-                near = [c for c in self.candidates if number in c.logs]
-                if not near:
-                    self.unclaimed[number] = 1.0
-                    self.explained[number] = clutter_log_hz(stored)
-                    continue
-                settled = any(c.share[number] > 0.999 for c in near) and sweep < sweeps - 1
-                if settled:
-                    continue
-                terms = [logs_unknown[number], clutter_log_hz(stored)]
-                for candidate in near:
-                    log_posterior = candidate.log_posterior()
-                    others = max(0.0, candidate.receptions - candidate.share[number])
-                    rate = (RATE_SHAPE + others) / (self.rate_prior_s + self.summary(candidate).exposure_s)
-                    terms.append(float(np.log(rate)) + candidate.log_predictive(number, log_posterior))
-                values = np.array(terms)
-                shares = np.exp(values - log_sum(values))
-                self.explained[number] = log_sum(values[1:])
-                for candidate, share in zip(near, shares[2:], strict=True):
-                    candidate.set_share(number, float(share))
-                self.unclaimed[number] = float(shares[0])
-            for candidate in self.candidates:
-                self._summaries.pop(candidate.ident, None)
+            share_out(
+                self.candidates,
+                numbers,
+                log_unknown,
+                log_clutter,
+                np.array([self.summary(candidate).exposure_s for candidate in self.candidates]),
+                self.rate_prior_s,
+                left,
+                skip_settled=sweep < sweeps - 1,
+            )
+            self._summaries.clear()
+        self.unclaimed = dict(zip(numbers, left.unclaimed.tolist(), strict=True))
+        self.explained = dict(zip(numbers, left.explained.tolist(), strict=True))
         for candidate in self.candidates:
             candidate.prune()
             coarse = candidate.spacing_m > 1.01 * FINE * self.grid.cell_m
@@ -209,17 +214,15 @@ class Mixture:
         it covers unsearched ground, unclaimed detections, and sources that hide behind a found neighbour.
         """
         ratio = np.empty((self.model.n_known, *self.grid.shape))
-        stored = list(self.open.items())
-        sizes = [s.like.shape[1] for _, s in stored]
-        start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        stacked = (
-            np.concatenate([s.like * np.exp(s.log_scale - self.explained[k]) for k, s in stored], axis=1)
-            if stored
-            else np.empty((self.model.n_known, 0))
-        )
-        boxes = np.array([s.box for _, s in stored], dtype=np.int64).reshape(-1, 4)
+        stored = self.open.values()
+        scale = np.array([s.log_scale for s in stored]) - np.array([self.explained[k] for k in self.open])
         kernels.another_source_llr(
-            stacked, start[:-1], boxes, self.settings.reference_rate_hz, self.known_exposure_s(), ratio
+            np.array([kernels.address(s.like) for s in stored], dtype=np.int64),
+            np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
+            self.settings.reference_rate_hz * np.exp(scale),
+            self.known_exposure_s(),
+            self.settings.reference_rate_hz,
+            ratio,
         )
         prior = self.settings.expected_sources / self.grid.n_cells / self.model.n_known
         return np.asarray(prior * np.exp(np.minimum(ratio, 50.0)))
@@ -296,7 +299,7 @@ class Mixture:
         candidate.expose(self.exposure_at(candidate.points_m))
         for number, share in candidate.share.items():
             log = self.model.log_likelihood(self.open[number].detection, candidate.points_m)
-            candidate.logs[number] = np.ascontiguousarray(log)
+            candidate.know(number, log)
             candidate.evidence += share * log
 
     def _merge(self) -> None:

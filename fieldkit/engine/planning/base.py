@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from fieldkit.engine import kernels
 from fieldkit.engine.belief.base import Belief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
@@ -44,29 +45,12 @@ def abreast(
     `start_m` (m, 2) is where they are. Each leg's places are dealt to the robots so that they walk least and do
     not cross. Places are clipped to the field, `margin_m` inside its border. One robot follows the centre path.
     """
-    legs, count = centre_path_m.shape[0], start_m.shape[0]
     low = np.array([margin_m, margin_m])
     high = np.maximum(low, np.array([grid.size_east_m, grid.size_north_m]) - margin_m)
-    places = np.empty((legs, count, 2))
-    before, centre = start_m, start_m.mean(axis=0)
-    side = np.array([0.0, 1.0])
-    for leg, target in enumerate(centre_path_m):
-        step = target - centre
-        length = float(np.hypot(*step))
-        if length > 1e-6:
-            side = np.array([-step[1], step[0]]) / length
-        offsets = (np.arange(count) - (count - 1) / 2.0) * spacing_m
-        slots = target + offsets[:, None] * side
-        # Clip the team as a whole, so that its spacing survives at the border.
-        shift = np.maximum(low - slots.min(axis=0), 0.0) + np.minimum(high - slots.max(axis=0), 0.0)
-        slots = np.clip(slots + shift, low, high)
-        if count == 2:
-            straight = np.hypot(*(slots - before).T).sum()
-            crossed = np.hypot(*(slots[::-1] - before).T).sum()
-            if crossed < straight:
-                slots = slots[::-1]
-        places[leg] = slots
-        before, centre = slots, slots.mean(axis=0)
+    places = np.empty((centre_path_m.shape[0], start_m.shape[0], 2))
+    kernels.abreast(
+        np.ascontiguousarray(centre_path_m), np.ascontiguousarray(start_m), spacing_m, low, high, places
+    )
     return places
 
 

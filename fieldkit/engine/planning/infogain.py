@@ -112,6 +112,7 @@ class InfoGainPlanner:
                     paths[robot], purpose[robot] = (), "wait"
                 taken.append(np.repeat(start[None], max(1, int(horizon_s / STEP_S)), axis=0))
                 continue
+            scratch = np.zeros(self.grid.shape)
             kernels.path_ground_gain(
                 best.track_m, STEP_S, value, planned_s, self.grid.cell_m, model.hear_known_mean, model.step2_m2,
                 model.reach_m, self.settings.reference_rate_hz, scratch,

@@ -1,0 +1,139 @@
+"""The compiled passes of the default belief against plain numpy, written from what they are to compute."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from fieldkit.engine import kernels
+from fieldkit.engine.belief.attribution import Shares, share_out
+from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate
+
+PRIOR_S = 20.0
+
+
+def some_candidates(rng: np.random.Generator, count: int, detections: int) -> list[Candidate]:
+    """Candidates of unlike sizes that know most of the detections and claim some of each."""
+    result = []
+    for ident in range(count):
+        points, levels = int(rng.integers(3, 40)), 3
+        candidate = Candidate(
+            ident,
+            rng.uniform(0, 9, (points, 2)),
+            rng.normal(-5, 1, (levels, points)),
+            PRIOR_S,
+            rng.uniform(0, 300, (levels, points)),
+            0.5,
+        )
+        for number in range(detections):
+            if rng.random() < 0.8:
+                candidate.know(number, rng.normal(-12, 4, (levels, points)))
+                candidate.set_share(number, float(rng.uniform(0, 1 / count)))
+        result.append(candidate)
+    return result
+
+
+def plain_pass(
+    candidates: list[Candidate],
+    numbers: list[int],
+    log_unknown: NDArray[np.float64],
+    log_clutter: NDArray[np.float64],
+    mean_exposure_s: NDArray[np.float64],
+) -> tuple[list[float], list[float]]:
+    """The same pass on the candidates themselves: (unclaimed, explained)."""
+    unclaimed, explained = [], []
+    for k, number in enumerate(numbers):
+        near = [(c, seen) for c, seen in zip(candidates, mean_exposure_s, strict=True) if number in c.logs]
+        terms = [log_unknown[k], log_clutter[k]]
+        for candidate, seen in near:
+            others = candidate.receptions - candidate.share[number]
+            without = candidate.log_posterior() - candidate.share[number] * candidate.logs[number]
+            predicted = logsumexp(without + candidate.logs[number]) - logsumexp(without)
+            terms.append(np.log((RATE_SHAPE + others) / (PRIOR_S + seen)) + predicted)
+        shares = np.exp(terms - logsumexp(terms))
+        unclaimed.append(float(shares[0]) if near else 1.0)
+        explained.append(float(logsumexp(terms[1:])))
+        for (candidate, _), share in zip(near, shares[2:], strict=True):
+            candidate.set_share(number, float(share))
+    return unclaimed, explained
+
+
+@budget(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), count=st.integers(0, 4), detections=st.integers(1, 12))
+def test_a_pass_shares_detections_out_as_plain_numpy_does(seed: int, count: int, detections: int) -> None:
+    rng = np.random.default_rng(seed)
+    ours = some_candidates(np.random.default_rng(seed), count, detections)
+    twins = some_candidates(np.random.default_rng(seed), count, detections)
+    numbers = list(range(detections))
+    unknown, clutter = rng.normal(-14, 3, detections), rng.normal(-18, 1, detections)
+    seen = rng.uniform(0, 200, count)
+    left = Shares(np.ones(detections), clutter.copy())
+    share_out(ours, numbers, unknown, clutter, seen, PRIOR_S, left, skip_settled=False)
+    # Entries 20 nats down are left out: likelihoods as unlike as these make a few 1e-5 of that.
+    unclaimed, explained = plain_pass(twins, numbers, unknown, clutter, seen)
+    assert left.unclaimed == pytest.approx(unclaimed, abs=1e-4)
+    assert left.explained == pytest.approx(explained, abs=1e-4)
+    for one, other in zip(ours, twins, strict=True):
+        assert one.share == pytest.approx(other.share, abs=1e-4)
+        assert one.evidence == pytest.approx(other.evidence, abs=3e-3)
+
+
+def test_what_one_candidate_claims_beyond_doubt_is_left_alone_when_asked() -> None:
+    (candidate,) = some_candidates(np.random.default_rng(1), 1, 0)
+    for number, share in ((0, 0.9995), (1, 0.5)):
+        candidate.know(number, np.full(candidate.log_prior.shape, -12.0))
+        candidate.set_share(number, share)
+    left = Shares(np.zeros(2), np.zeros(2))
+    silent = np.array([-30.0, -30.0])
+    share_out([candidate], [0, 1], silent, silent, np.array([50.0]), PRIOR_S, left, skip_settled=True)
+    assert candidate.share[0] == 0.9995 and left.unclaimed[0] == 0.0
+    assert candidate.share[1] > 0.99
+
+
+def test_one_more_source_is_weighed_as_the_poisson_process_says() -> None:
+    rng = np.random.default_rng(3)
+    exposure = rng.uniform(0, 50, (2, 7, 9))
+    boxes = np.array([[0, 4, 2, 8], [3, 7, 0, 9], [2, 3, 2, 3]])
+    likes = [rng.uniform(0, 1, (2, (b[1] - b[0]) * (b[3] - b[2]))) for b in boxes]
+    factor = np.array([0.7, 30.0, 1e-4])
+    expected = -0.05 * exposure
+    for like, (row0, row1, column0, column1), f in zip(likes, boxes, factor, strict=True):
+        part = like.reshape(2, row1 - row0, column1 - column0)
+        expected[:, row0:row1, column0:column1] += np.log1p(f * part)
+    out = np.empty_like(exposure)
+    rows = np.array([kernels.address(like) for like in likes])
+    kernels.another_source_llr(rows, boxes, factor, exposure, 0.05, out)
+    assert out == pytest.approx(expected, abs=1e-11)
+
+
+def plain_abreast(
+    path: NDArray[np.float64], start: NDArray[np.float64], spacing: float, low: float, high: float
+) -> NDArray[np.float64]:
+    before, centre, side, places = start, start.mean(axis=0), np.array([0.0, 1.0]), []
+    for target in path:
+        step = target - centre
+        if np.hypot(*step) > 1e-6:
+            side = np.array([-step[1], step[0]]) / np.hypot(*step)
+        offsets = (np.arange(len(start)) - (len(start) - 1) / 2) * spacing
+        slots = target + offsets[:, None] * side
+        slots = slots + np.maximum(low - slots.min(axis=0), 0.0) + np.minimum(high - slots.max(axis=0), 0.0)
+        slots = np.clip(slots, low, high)
+        turned = slots[::-1]
+        if len(start) == 2 and np.hypot(*(turned - before).T).sum() < np.hypot(*(slots - before).T).sum():
+            slots = turned
+        places.append(slots)
+        before, centre = slots, slots.mean(axis=0)
+    return np.array(places)
+
+
+@budget(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), robots=st.integers(1, 4), legs=st.integers(1, 6))
+def test_a_team_moves_abreast_as_plain_numpy_says(seed: int, robots: int, legs: int) -> None:
+    rng = np.random.default_rng(seed)
+    path, start = rng.uniform(-1, 11, (legs, 2)), rng.uniform(0, 10, (robots, 2))
+    places = np.empty((legs, robots, 2))
+    kernels.abreast(path, start, 1.3, np.full(2, 0.2), np.full(2, 9.8), places)
+    assert places == pytest.approx(plain_abreast(path, start, 1.3, 0.2, 9.8), abs=1e-9)
