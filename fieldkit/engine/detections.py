@@ -1,10 +1,14 @@
 """Readings and poses in, one `Detection` per transmission out, with the robots that stayed silent.
 
-Receptions within one window of the first belong to one transmission, at most one per robot. A group is kept
-open for late arrivals before it is emitted. A robot counts as listening when its receiver is up and its pose
-is known around that moment; otherwise it is absent from the detection, not silent.
+Receptions that carry the same address and sequence number belong to one transmission; otherwise those within one
+window of the first do; at most one per robot. A group is kept open for late arrivals before it is emitted.
+
+A robot counts as listening when its receiver is up and its pose is known around that moment; otherwise it is absent
+from the detection, not silent. It is absent as well where it heard something shortly before or after that may have
+been the same transmission by a clock that is off: a wrong "heard nothing" misleads more than a missing one.
 """
 
+import re
 from bisect import bisect_left
 from dataclasses import dataclass, field
 
@@ -13,6 +17,13 @@ import numpy as np
 from fieldkit.messages import Detection, Listening, Pose, ReceiverState, RssReading
 
 _KEEP_NS = 30_000_000_000
+_NUMBERED = re.compile(r".*/[0-9a-f]{2}")
+"""An address with the sequence number of IEEE 802.15.4-2015, 7.2.2.1. An address alone, or with a payload's checksum,
+comes again with the sender's next packet: such ids may keep receptions apart but not join them."""
+NUMBERED_REACH_NS = 500_000_000
+"""How far apart in time receptions of one numbered frame may be: far under the 256 frames after which numbers recur."""
+ASTRAY_WINDOWS = 3
+"""A reception up to so many windows away may belong to the same transmission, heard by a clock that is off."""
 
 
 @dataclass
@@ -68,6 +79,14 @@ class _Group:
     def frame_id(self) -> str | None:
         return next((r.frame_id for r in self.readings.values() if r.frame_id is not None), None)
 
+    def may_be(self, other: "_Group", reach_ns: int) -> bool:
+        """Whether both may be one transmission that clocks have torn apart: no robot heard both."""
+        return (
+            abs(self.t_ns - other.t_ns) <= reach_ns
+            and self.readings.keys().isdisjoint(other.readings)
+            and (self.frame_id is None or other.frame_id in (None, self.frame_id))
+        )
+
 
 class Associator:
     """Turns the stream of readings, receiver states and poses into detections and stretches of listening."""
@@ -90,6 +109,7 @@ class Associator:
         self._tracks = {robot: PoseTrack(round(max_pose_gap_s * 1e9)) for robot in robots}
         self._up: dict[str, list[tuple[int, bool]]] = {robot: [(-(2**62), True)] for robot in robots}
         self._open: list[_Group] = []
+        self._closed: list[_Group] = []
         self._silent_until_ns: int | None = None
         self._closed_ns = -(2**62)
 
@@ -110,16 +130,33 @@ class Associator:
         if reading.t_ns < self._closed_ns:
             self.late_readings += 1
             return
+        group = self._same_number(reading) or self._within_window(reading)
+        if group is None:
+            self._open.append(_Group(reading.t_ns, {reading.robot: reading}))
+        else:
+            group.readings[reading.robot] = reading
+
+    def _same_number(self, reading: RssReading) -> _Group | None:
+        """The group of the same numbered frame nearest in time."""
+        if reading.frame_id is None or not _NUMBERED.fullmatch(reading.frame_id):
+            return None
+        same = [
+            group
+            for group in self._open
+            if group.frame_id == reading.frame_id
+            and reading.robot not in group.readings
+            and abs(reading.t_ns - group.t_ns) <= NUMBERED_REACH_NS
+        ]
+        return min(same, key=lambda group: abs(reading.t_ns - group.t_ns), default=None)
+
+    def _within_window(self, reading: RssReading) -> _Group | None:
+        """The first group in time whose window the reading falls in, unless both name different frames."""
         for group in self._open:
             same_frame = reading.frame_id is None or group.frame_id in (None, reading.frame_id)
-            if (
-                abs(reading.t_ns - group.t_ns) <= self._window_ns
-                and reading.robot not in group.readings
-                and same_frame
-            ):
-                group.readings[reading.robot] = reading
-                return
-        self._open.append(_Group(reading.t_ns, {reading.robot: reading}))
+            near = abs(reading.t_ns - group.t_ns) <= self._window_ns
+            if near and same_frame and reading.robot not in group.readings:
+                return group
+        return None
 
     def advance(self, now_ns: int) -> tuple[list[Detection], list[Listening]]:
         """What can be said for sure at `now_ns`: closed detections in order of time, and listening up to then."""
@@ -129,6 +166,8 @@ class Associator:
         )
         self._open = [g for g in self._open if g.t_ns + self._window_ns > horizon_ns]
         self._closed_ns = max(self._closed_ns, horizon_ns - self._window_ns)
+        reach_ns = ASTRAY_WINDOWS * self._window_ns
+        self._closed = [g for g in self._closed if g.t_ns >= self._closed_ns - 2 * reach_ns] + ready
         detections = [detection for group in ready if (detection := self._detection(group)) is not None]
         return detections, self._listening(horizon_ns)
 
@@ -153,9 +192,22 @@ class Associator:
         rss = np.array([group.readings[n].rss_dbm if n in group.readings else np.nan for n in names])
         if np.isnan(rss).all():  # heard only by robots whose place is unknown
             return None
-        place = np.array(places)
+        astray = self._astray(group)
+        keep = [index for index, name in enumerate(names) if name not in astray]
+        names, rss = tuple(names[index] for index in keep), rss[keep]
+        place = np.array(places)[keep]
         saturated = np.array([n in group.readings and group.readings[n].saturated for n in names])
         return Detection(group.t_ns, names, place[:, :2].copy(), place[:, 2].copy(), rss, saturated)
+
+    def _astray(self, group: _Group) -> set[str]:
+        """Robots that heard something near in time which may have been this transmission."""
+        reach_ns = ASTRAY_WINDOWS * self._window_ns
+        return {
+            robot
+            for other in (*self._closed, *self._open)
+            if other is not group and group.may_be(other, reach_ns)
+            for robot in other.readings
+        }
 
     def _listening(self, horizon_ns: int) -> list[Listening]:
         if self._silent_until_ns is None:

@@ -44,6 +44,49 @@ def test_different_frames_are_never_joined() -> None:
     assert len(detections) == 2
 
 
+def test_a_numbered_frame_is_one_transmission_though_clocks_differ_by_more_than_the_window() -> None:
+    associator = with_poses()
+    associator.reading(RssReading(2 * S, "a", -60.0, frame_id="1234:0001/7f"))
+    associator.reading(RssReading(2 * S + S // 4, "b", -61.0, frame_id="1234:0001/7f"))
+    (detection,), _ = associator.advance(9 * S)
+    assert list(detection.rss_dbm) == [-60.0, -61.0]
+
+
+def test_a_numbered_frame_goes_to_its_own_group_before_the_window_decides() -> None:
+    associator = with_poses()
+    associator.reading(RssReading(2 * S, "a", -60.0))
+    associator.reading(RssReading(2 * S + S // 20, "a", -65.0, frame_id="1234:0001/7f"))
+    associator.reading(RssReading(2 * S + S // 20, "b", -61.0, frame_id="1234:0001/7f"))
+    detections, _ = associator.advance(9 * S)
+    assert [sorted(d.rss_dbm[~np.isnan(d.rss_dbm)]) for d in detections] == [[-60.0], [-65.0, -61.0]]
+
+
+def test_an_address_without_a_number_joins_nothing_beyond_the_window() -> None:
+    for frame_id in ("0013A20012345678", "0013A20012345678/89abcdef"):
+        associator = with_poses()
+        associator.reading(RssReading(2 * S, "a", -60.0, frame_id=frame_id))
+        associator.reading(RssReading(2 * S + S // 4, "b", -61.0, frame_id=frame_id))
+        detections, _ = associator.advance(9 * S)
+        assert len(detections) == 2
+
+
+def test_a_robot_whose_clock_may_be_off_is_absent_not_silent() -> None:
+    associator = with_poses()
+    associator.reading(RssReading(2 * S, "a", -60.0))
+    associator.reading(RssReading(2 * S + S // 5, "b", -61.0))  # twice the window later
+    detections, _ = associator.advance(9 * S)
+    assert [d.robots for d in detections] == [("a",), ("b",)]
+
+
+def test_a_robot_that_heard_the_next_transmission_with_others_was_silent_before() -> None:
+    associator = with_poses()
+    associator.reading(RssReading(2 * S, "a", -60.0))
+    associator.reading(RssReading(2 * S + S // 5, "a", -62.0))
+    associator.reading(RssReading(2 * S + S // 5, "b", -61.0))
+    (first, _), _ = associator.advance(9 * S)
+    assert first.robots == ("a", "b") and np.isnan(first.rss_dbm[1])
+
+
 def test_a_listening_robot_that_heard_nothing_is_silent_and_one_that_was_down_is_absent() -> None:
     associator = with_poses()
     associator.reading(RssReading(2 * S, "a", -60.0))
