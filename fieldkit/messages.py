@@ -85,12 +85,19 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """What the operator asked for. `robot` None means all."""
+    """What the operator asked for. `robot` None means all.
+
+    `release` gives a robot up to somebody else's hands, `withdraw` is safety taking one out of the mission until
+    it is resumed; `remove` says that the transmitter `source` has been taken away; `exclude` closes the polygon
+    `area_m` (east, north) to all robots.
+    """
 
     t_ns: int
-    action: Literal["hold", "resume", "return", "end"]
+    action: Literal["hold", "resume", "return", "end", "release", "withdraw", "remove", "exclude"]
     robot: str | None = None
     reason: str = ""
+    source: int | None = None
+    area_m: tuple[tuple[float, float], ...] = ()
 
 
 Event = RssReading | ReceiverState | Pose | VehicleState | Tick | Operator
@@ -134,6 +141,15 @@ class Return:
 
 
 @dataclass(frozen=True, slots=True)
+class CallOperator:
+    """A robot is out of the mission, held or on its way home, until the operator resumes it."""
+
+    t_ns: int
+    robot: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class EndMission:
     """Nothing more to do: the runner holds all robots and closes."""
 
@@ -141,7 +157,7 @@ class EndMission:
     reason: str
 
 
-Command = GoTo | Hold | Return | EndMission
+Command = GoTo | Hold | Return | CallOperator | EndMission
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,7 +197,7 @@ class Listening:
         return (self.t1_ns - self.t0_ns) * 1e-9
 
 
-SourceState = Literal["candidate", "found", "doubtful"]
+SourceState = Literal["candidate", "found", "doubtful", "removed"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,7 +206,7 @@ class SourceEstimate:
 
     `cov_m2` is (2, 2) over (east, north). `region_90` counts the cells of the smallest region that holds
     90 % of the location posterior. `doubtful`: the readings do not look like what the antenna file
-    predicts, so no position is claimed; `note` says why.
+    predicts, so no position is claimed; `note` says why. `removed`: the operator has taken it away.
     """
 
     ident: int

@@ -60,8 +60,15 @@ class VehicleLink(_Opened, Protocol):
         """Tell the vehicles we are alive. Called from the steering loop, so that it stops when steering does."""
         ...
 
-    async def take_over(self, robot: str) -> None:
-        """Make the vehicle ours to steer and armed. Raises `VehicleRefused` with the vehicle's own words."""
+    async def take_over(self, robot: str, *, arm: bool = True) -> None:
+        """Make the vehicle ours to steer and armed. Raises `VehicleRefused` with the vehicle's own words.
+
+        With `arm` False one that is disarmed stays so.
+        """
+        ...
+
+    def release(self, robot: str) -> None:
+        """Give the vehicle up to whoever steers it next: nothing more is sent to it, until `take_over`."""
         ...
 
     async def goto(self, robot: str, waypoint: Waypoint) -> None:

@@ -18,6 +18,7 @@ from fieldkit.errors import ConfigError
 from fieldkit.geo import FieldFrame
 from mission.kernel import KernelSettings
 from mission.safety import SafetySettings
+from mission.ways import outside
 
 SCHEMA = 1
 
@@ -37,12 +38,19 @@ class FieldTable(_Table):
     cell_m: float = Field(gt=0)
     keep_out: tuple[tuple[tuple[float, float], ...], ...] = ()
     """Polygons of (east, north) that no robot may enter."""
+    fence: tuple[tuple[float, float], ...] = ()
+    """A polygon of (east, north) that no robot may leave, inside the rectangle; empty: the rectangle itself."""
 
     @model_validator(mode="after")
     def _polygons(self) -> "FieldTable":
         for polygon in self.keep_out:
             if len(polygon) < 3:
                 raise ValueError(f"keep_out: a polygon needs at least 3 corners, got {len(polygon)}")
+        if self.fence and len(self.fence) < 3:
+            raise ValueError(f"fence: a polygon needs at least 3 corners, got {len(self.fence)}")
+        for east_m, north_m in self.fence:
+            if not (0 <= east_m <= self.size_east_m and 0 <= north_m <= self.size_north_m):
+                raise ValueError(f"fence: corner ({east_m}, {north_m}) lies outside the field")
         return self
 
     @model_validator(mode="after")
@@ -105,6 +113,13 @@ class SafetyTable(_Table):
     max_leg_m: float = Field(default=1_000.0, gt=0)
     pose_timeout_s: float = Field(default=2.0, gt=0)
     min_separation_m: float = Field(default=0.5, ge=0)
+    overrun_s: float = Field(default=3.0, gt=0)
+    radio_timeout_s: float = Field(default=10.0, gt=0)
+    radio_return_s: float = Field(default=120.0, gt=0)
+    stall_s: float = Field(default=15.0, gt=0)
+    call_after_s: float = Field(default=30.0, gt=0)
+    battery_reserve_pct: float = Field(default=25.0, ge=0, lt=100)
+    battery_pct_per_m: float = Field(default=0.0, ge=0)
 
 
 class ReceiverTable(BaseModel):
@@ -302,7 +317,7 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         min_separation_m=file.safety.min_separation_m,
         fence_margin_m=file.safety.fence_margin_m,
         pose_sigma_m=file.engine.pose_sigma_m,
-        keep_out=KeepOut(field.keep_out),
+        keep_out=KeepOut((*field.keep_out, *((outside(field.fence),) if field.fence else ()))),
         seed=file.seed,
         prior_rule=file.engine.prior_rule,
         sensing=file.engine.sensing,
@@ -315,6 +330,7 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         association_lateness_s=file.association.lateness_s,
         max_pose_gap_s=file.association.max_pose_gap_s,
         max_duration_s=file.end.max_duration_s,
+        deaf_limit_s=file.safety.radio_timeout_s,
         sources_expected=file.end.sources_found,
         stop_probability_left=file.end.probability_left,
     )
@@ -328,6 +344,13 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         pose_timeout_s=file.safety.pose_timeout_s,
         min_separation_m=file.safety.min_separation_m,
         keep_out=engine.keep_out,
+        overrun_s=file.safety.overrun_s,
+        radio_timeout_s=file.safety.radio_timeout_s,
+        radio_return_s=file.safety.radio_return_s,
+        stall_s=file.safety.stall_s,
+        call_after_s=file.safety.call_after_s,
+        battery_reserve_pct=file.safety.battery_reserve_pct,
+        battery_pct_per_m=file.safety.battery_pct_per_m,
     )
     frame = FieldFrame(field.origin_lat_deg, field.origin_lon_deg, field.origin_alt_m)
     return Mission(file, text, antenna_text, antenna, frame, kernel, safety, where)

@@ -94,6 +94,7 @@ def prepare(folder: Path, seed: int) -> tuple[Mission, tuple[TransientSource, ..
         sources_found=N_SOURCES,
         fence_margin_m=0.2,
         min_separation_m=0.5,
+        overrun_s=3.0 * CLOCK_RATE,  # of the wall's 3 s: emulated time runs faster than the steering loop
         robots=robots,
     )
     write_whole(folder / "mission.toml", text)

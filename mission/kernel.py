@@ -6,13 +6,14 @@ generators, so feeding a recorded inbox gives the same belief and the same comma
 
 import hashlib
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fieldkit import plugins
 from fieldkit.engine.belief.base import Belief
 from fieldkit.engine.detections import Associator
+from fieldkit.engine.keepout import KeepOut
 from fieldkit.engine.planning.base import Planner, Situation
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import (
@@ -49,6 +50,8 @@ class KernelSettings:
     """End when this many are found; None where nobody knows."""
     stop_probability_left: float | None = None
     """End when the probability that a source is left falls below this."""
+    deaf_limit_s: float = 10.0
+    """A robot whose radio is down for longer is not planned for: its team goes on without it."""
     idle_limit_s: float = 120.0
     """End when no robot could be steered for this long: somebody has to look."""
 
@@ -72,6 +75,8 @@ class _Robot:
     vehicle: VehicleState | None = None
     held: bool = False
     """Held by the operator until resumed."""
+    deaf_ns: int | None = None
+    """Since when its radio is down."""
 
 
 @dataclass
@@ -106,7 +111,11 @@ class Kernel:
             max_pose_gap_s=self.settings.max_pose_gap_s,
         )
         self.robots = {robot: _Robot() for robot in engine.robots}
+        self.removed: set[int] = set()
+        """Sources the operator has taken away, by identity."""
         self.detections = 0
+        self._closed = engine.keep_out
+        self._now_ns = 0
         self._errands: dict[tuple[str, ...], _Errand] = {}
         self._next_plan_ns: int | None = None
         self._steered_ns: int | None = None
@@ -128,6 +137,9 @@ class Kernel:
                 outcome = NOTHING
             case ReceiverState():
                 self.associator.receiver(event)
+                if event.robot in self.robots:
+                    robot = self.robots[event.robot]
+                    robot.deaf_ns = None if event.up else robot.deaf_ns or event.t_ns
                 outcome = NOTHING
             case VehicleState():
                 if event.robot in self.robots:
@@ -152,7 +164,10 @@ class Kernel:
     def sources(self) -> list[SourceEstimate]:
         """The belief's present estimates."""
         if self._sources is None:
-            self._sources = self.belief.sources()
+            self._sources = [
+                replace(source, state="removed") if source.ident in self.removed else source
+                for source in self.belief.sources()
+            ]
         return self._sources
 
     def elapsed_s(self, t_ns: int) -> float:
@@ -162,9 +177,13 @@ class Kernel:
     # -- decisions ---------------------------------------------------------------------------------------
 
     def _operator(self, event: Operator) -> Outcome:
+        if event.action == "remove":
+            return self._remove(event)
+        if event.action == "exclude":
+            return self._exclude(event)
         targets = self.robots if event.robot is None else {event.robot: self.robots.get(event.robot)}
         for robot in targets.values():
-            if robot is not None and event.action in ("hold", "return"):
+            if robot is not None and event.action in ("hold", "return", "release", "withdraw"):
                 robot.held = True
             elif robot is not None and event.action == "resume":
                 robot.held = False
@@ -173,11 +192,34 @@ class Kernel:
             self._next_plan_ns = None
         if event.action == "end":
             return self._end(event.t_ns, event.reason or "the operator ended the mission")
-        return Outcome(notes=(f"operator: {event.action} {event.robot or 'all'}",))
+        who = "safety" if event.action == "withdraw" else "operator"
+        why = f": {event.reason}" if event.reason else ""
+        return Outcome(notes=(f"{who}: {event.action} {event.robot or 'all'}{why}",))
+
+    def _remove(self, event: Operator) -> Outcome:
+        """A transmitter that was taken away stays in the list and is looked for no more."""
+        known = {source.ident for source in self.sources()}
+        if event.source is None or event.source not in known:
+            return Outcome(notes=(f"operator: there is no source {event.source} to remove",))
+        self.removed.add(event.source)
+        self._sources = None
+        return Outcome(notes=(f"operator: source {event.source} has been taken away",))
+
+    def _exclude(self, event: Operator) -> Outcome:
+        """Plan anew round an area that robots must not enter from now on."""
+        if len(event.area_m) < 3 or not np.isfinite(event.area_m).all():
+            return Outcome(notes=("operator: an area needs at least three corners: nothing was closed",))
+        self._closed = KeepOut((*self._closed.polygons, event.area_m))
+        planner = plugins.load("fieldkit.planners", self.settings.planner)
+        self.planner = planner(replace(self.settings.engine, keep_out=self._closed))
+        self._errands.clear()
+        self._next_plan_ns = None
+        return Outcome(notes=("operator: an area was closed to all robots",))
 
     def _tick(self, now_ns: int) -> Outcome:
         if self.ended:
             return NOTHING
+        self._now_ns = now_ns
         if self.started_ns is None:
             self.started_ns = now_ns
         teams = self._teams()
@@ -211,7 +253,7 @@ class Kernel:
     def _note_finds(self, now_ns: int, notes: list[str]) -> bool:
         """Keep the times of finds; whether one was made or withdrawn."""
         changed = False
-        found = {source.ident: source for source in self.sources() if source.state == "found"}
+        found = {source.ident: source for source in self.sources() if source.state in ("found", "removed")}
         for ident, source in found.items():
             if ident not in self.found_at_s:
                 self.found_at_s[ident] = self.elapsed_s(now_ns)
@@ -250,6 +292,8 @@ class Kernel:
     def _steerable(self, name: str) -> bool:
         robot = self.robots[name]
         if robot.pose is None or robot.held:
+            return False
+        if robot.deaf_ns is not None and (self._now_ns - robot.deaf_ns) * 1e-9 > self.settings.deaf_limit_s:
             return False
         vehicle = robot.vehicle
         return vehicle is None or (vehicle.link_up and vehicle.mode in ("guided", "hold"))

@@ -4,6 +4,9 @@ Every event gets its inbox number, is recorded, then stepped; nothing reaches a 
 heartbeat to the vehicles leaves from the steering loop, so that it stops when steering stops. However a mission
 ends (finished, Ctrl-C, an error), the vehicles are told to hold and the recording is closed.
 
+`mission.helm` has the hands on the vehicles, `mission.journal` writes down. A robot for which safety calls the
+operator is withdrawn: that too goes through the inbox, so that a replay knows it.
+
 Ticks that come while one is still waiting are skipped: a slow moment costs resolution, never a backlog.
 """
 
@@ -18,21 +21,22 @@ from typing import Any
 
 from fieldkit.errors import DeviceError, DeviceTimeout, FieldkitError
 from fieldkit.messages import (
+    CallOperator,
     Command,
     EndMission,
     Event,
-    GoTo,
     Hold,
     Operator,
     Pose,
     ReceiverState,
-    Return,
     Tick,
     VehicleState,
 )
 from fieldkit.ports import PositionSource, Receiver, VehicleLink
 from fieldkit.recording.writer import RecordingWriter
 from mission.config import Mission
+from mission.helm import RELEASE, TAKE_OVER, Helm
+from mission.journal import Follower, Journal
 from mission.kernel import Kernel, Outcome, state_digest
 from mission.rigs import Rig
 from mission.safety import Safety
@@ -40,8 +44,6 @@ from mission.safety import Safety
 logger = logging.getLogger(__name__)
 
 TICK_S = 0.5
-BEAT_S = 1.0
-BELIEF_EVERY_S = 10.0
 READY_TIMEOUT_S = 60.0
 
 
@@ -67,6 +69,8 @@ class Runner:
     rig: Rig
     recorder: RecordingWriter
     on_progress: Callable[[Progress], None] = lambda _: None
+    followers: tuple[Follower, ...] = ()
+    """Told everything that is recorded, after it is recorded."""
     kernel: Kernel = field(init=False)
     safety: Safety = field(init=False)
     end_reason: str = ""
@@ -77,14 +81,12 @@ class Runner:
         self._inbox: asyncio.Queue[tuple[int, Event]] = asyncio.Queue()
         self._number = 0
         self._tick_waits = False
-        self._links = {robot: link for link in self.rig.links for robot in link.robots}
+        self.journal = Journal(
+            self.kernel, self.mission.kernel.engine.grid.cell_m, self.recorder, *self.followers
+        )
+        self.helm = Helm(self.rig.links, self.rig.clock, self._note)
         self._placed = {robot for source in self.rig.positions for robot in source.robots}
-        self._orders: dict[str, Command] = {}
-        self._order_ready = {robot: asyncio.Event() for robot in self._links}
         self._doing: dict[str, str] = {}
-        self._last_belief_s = -BELIEF_EVERY_S
-        self._last_beat_s = -BEAT_S
-        self._left = 1.0
         self._steered = False
 
     async def run(self) -> str:
@@ -111,12 +113,10 @@ class Runner:
                 )
                 for source in self.rig.positions
             ]
-            tasks += [asyncio.create_task(self._obey(robot), name=f"orders {robot}") for robot in self._links]
-            tasks.append(asyncio.create_task(self._ticker(), name="ticker"))
+            tasks += self.helm.tasks()
             stack.push_async_callback(_cancel, tasks)
-            stack.push_async_callback(self._hold_all, "the mission is over")
-            start = asyncio.create_task(self._take_over(), name="start")
-            tasks.append(start)
+            stack.push_async_callback(self._leave)
+            tasks.append(asyncio.create_task(self._start(), name="start"))
             with self._interruptible():
                 while not self.end_reason:
                     get = asyncio.create_task(self._inbox.get())
@@ -136,8 +136,16 @@ class Runner:
     # -- what comes in ---------------------------------------------------------------------------------------
 
     def put(self, event: Event) -> None:
-        """Into the inbox, stamped with the time it arrives there."""
+        """Into the inbox, stamped with the time it arrives there. A hold by the operator goes out at once."""
+        if isinstance(event, Operator) and event.action == "hold":
+            self.helm.freeze(self._meant(event), event.t_ns, event.reason or "operator: hold")
         self._inbox.put_nowait((self.rig.clock.now_ns(), event))
+
+    def _meant(self, event: Operator) -> list[str]:
+        return [robot for robot in self.helm.link_of if event.robot in (None, robot)]
+
+    def _note(self, level: str, text: str) -> None:
+        self.journal.note(level, text, self.rig.clock.now_ns())
 
     async def _pump(self, events: AsyncIterator[Event]) -> None:
         async for event in events:
@@ -170,11 +178,12 @@ class Runner:
                 yield pose
         except DeviceError as error:
             logger.warning("positions of %s: %s", ", ".join(source.robots), error)
-            self.recorder.note(
-                "warning", f"positions of {', '.join(source.robots)}: {error}", self.rig.clock.now_ns()
-            )
+            self._note("warning", f"positions of {', '.join(source.robots)}: {error}")
 
-    async def _ticker(self) -> None:
+    async def _start(self) -> None:
+        """Vehicles first, then time: the mission's first tick finds every robot ready to be sent somewhere."""
+        async with self.helm.beating():
+            await self._take_over()
         while True:
             if not self._tick_waits:
                 self._tick_waits = True
@@ -212,62 +221,64 @@ class Runner:
     async def _step(self, t_ns: int, event: Event, pool: ThreadPoolExecutor) -> None:
         self._number += 1
         number = self._number
-        self.recorder.event(number, t_ns, event)
+        self.journal.event(number, t_ns, event)
         if isinstance(event, Tick):
             self._tick_waits = False
-            self._beat()
-            # Off the loop: a long look at the belief must not delay the drivers.
-            outcome = await asyncio.get_running_loop().run_in_executor(pool, self.kernel.step, event)
+            self.helm.beat()
+            outcome = await self._think(event, pool)
         else:
             outcome = self.kernel.step(event)
         for command in self.safety.observe(event):
             self._carry_out(number, t_ns, command)
-        for command in outcome.commands:
-            self.recorder.command(number, t_ns, command, "kernel")
-            self._carry_out(number, t_ns, self.safety.allow(command))
-        self._record(number, t_ns, outcome)
+        judged = self.safety.judge(outcome.commands)
+        for asked, allowed in zip(outcome.commands, judged, strict=True):
+            self.journal.command(number, t_ns, asked, "kernel")
+            self._carry_out(number, t_ns, allowed)
+        if isinstance(event, Operator):
+            self._obey_operator(event)
+        self.journal.outcome(number, t_ns, outcome)
+        if outcome.plan is not None:
+            self._doing.update(outcome.plan.purpose)
         if isinstance(event, Tick) or outcome.notes:
             self._show(t_ns, outcome)
 
+    async def _think(self, tick: Tick, pool: ThreadPoolExecutor) -> Outcome:
+        """Off the loop: a long look at the belief must not delay the drivers. A too long one holds everybody."""
+        thinking = asyncio.get_running_loop().run_in_executor(pool, self.kernel.step, tick)
+        limit_s = self.mission.safety.overrun_s
+        await asyncio.wait({thinking}, timeout=limit_s / self.rig.clock.rate)
+        if not thinking.done():
+            reason = f"the steering loop is late: one step has taken {limit_s:g} s"
+            self._note("warning", f"{reason}; all robots hold")
+            with self.helm.frozen(tick.t_ns, reason):
+                await asyncio.wait({thinking})
+        return await thinking
+
+    def _obey_operator(self, event: Operator) -> None:
+        """What the operator's word means for the vehicles beyond the commands it led to."""
+        robots = self._meant(event)
+        if event.action == "hold":
+            self.helm.thaw(robots)
+        for robot in robots:
+            vehicle = self.safety.robots[robot].vehicle
+            if event.action == "resume" and (vehicle is None or vehicle.mode != "guided"):
+                # A vehicle that its own failsafe, or somebody else, has had must be taken over anew.
+                self.helm.order(robot, TAKE_OVER)
+            elif event.action == "release":
+                self.helm.order(robot, RELEASE)
+
     def _carry_out(self, number: int, t_ns: int, command: Command) -> None:
-        self.recorder.command(number, t_ns, command, "safety")
+        self.journal.command(number, t_ns, command, "safety")
         if isinstance(command, EndMission):
             self.end_reason = command.reason
             return
-        if isinstance(command, Hold):
+        if isinstance(command, CallOperator):
+            self._doing[command.robot] = f"needs the operator: {command.reason}"
+            self._note("warning", f"{command.robot} needs the operator: {command.reason}")
+            self.put(Operator(self.rig.clock.now_ns(), "withdraw", command.robot, command.reason))
+        elif isinstance(command, Hold):
             self._doing[command.robot] = f"held: {command.reason}"
-        self._orders[command.robot] = command
-        if command.robot in self._order_ready:
-            self._order_ready[command.robot].set()
-
-    def _record(self, number: int, t_ns: int, outcome: Outcome) -> None:
-        for note in outcome.notes:
-            self.recorder.note("info", note, t_ns)
-        for detection in outcome.detections:
-            self.recorder.detection(number, t_ns, detection)
-        if outcome.plan is not None:
-            self.recorder.plan(number, t_ns, outcome.plan)
-            self._doing.update(outcome.plan.purpose)
-        elapsed_s = self.kernel.elapsed_s(t_ns)
-        if outcome.detections:
-            self.recorder.sources(number, t_ns, self.kernel.sources())
-            self.recorder.belief(number, t_ns, digest=self.kernel.digest())
-        if elapsed_s - self._last_belief_s >= BELIEF_EVERY_S:
-            self._last_belief_s = elapsed_s
-            self._record_belief(number, t_ns)
-        if outcome.notes:
-            self.recorder.flush()
-
-    def _record_belief(self, number: int, t_ns: int) -> None:
-        self._left = self.kernel.belief.probability_left()
-        self.recorder.belief(
-            number,
-            t_ns,
-            self.kernel.belief.presence(),
-            cell_m=self.mission.kernel.engine.grid.cell_m,
-            digest=self.kernel.digest(),
-            numbers={"probability_left": self._left},
-        )
+        self.helm.order(command.robot, command)
 
     def _show(self, t_ns: int, outcome: Outcome) -> None:
         self.on_progress(
@@ -277,18 +288,11 @@ class Runner:
                 self.kernel,
                 dict(self._doing),
                 outcome.notes,
-                self._left,
+                self.journal.left,
             )
         )
 
     # -- what goes out ---------------------------------------------------------------------------------------
-
-    def _beat(self) -> None:
-        now_s = self.rig.clock.elapsed_s()
-        if now_s - self._last_beat_s >= BEAT_S:
-            self._last_beat_s = now_s
-            for link in self.rig.links:
-                link.beat()
 
     async def _take_over(self) -> None:
         """Make every vehicle ours once it is heard and its position known."""
@@ -304,60 +308,15 @@ class Runner:
                 )
             await self.rig.clock.sleep(0.2)
         self._steered = True
-        async with asyncio.TaskGroup() as group:
-            for robot, link in self._links.items():
-                group.create_task(link.take_over(robot))
+        await self.helm.take_over()
 
-    async def _obey(self, robot: str) -> None:
-        """Carry out the newest order for one robot; older ones are forgotten."""
-        link, ready = self._links[robot], self._order_ready[robot]
-        while True:
-            await ready.wait()
-            ready.clear()
-            order = self._orders[robot]
-            try:
-                match order:
-                    case GoTo(_, _, waypoint):
-                        await link.goto(robot, waypoint)
-                    case Hold():
-                        await link.hold(robot)
-                    case Return():
-                        await link.return_home(robot)
-                    case EndMission():
-                        pass
-            except DeviceError as error:
-                logger.warning("%s: %s", robot, error)
-                self.recorder.note(
-                    "warning", f"{robot}: {type(order).__name__}: {error}", self.rig.clock.now_ns()
-                )
-
-    async def _hold_all(self, reason: str) -> None:
-        """Tell every vehicle to hold, all at once; those that do not answer are named."""
-        if not self._steered:
-            return
-
-        async def hold(robot: str, link: VehicleLink) -> None:
-            try:
-                await link.hold(robot)
-            except DeviceError as error:
-                logger.error("%s did not confirm that it holds: %s", robot, error)
-                self.recorder.note(
-                    "error", f"{robot} did not confirm that it holds: {error}", self.rig.clock.now_ns()
-                )
-
-        beating = asyncio.create_task(self._keep_beating())
-        await asyncio.gather(*(hold(robot, link) for robot, link in self._links.items()))
-        await _cancel([beating])
-        self.recorder.note("info", f"all vehicles were told to hold: {reason}", self.rig.clock.now_ns())
-
-    async def _keep_beating(self) -> None:
-        while True:
-            self._beat()
-            await self.rig.clock.sleep(BEAT_S)
+    async def _leave(self) -> None:
+        """However it ends: everybody holds."""
+        if self._steered:
+            await self.helm.hold_all("the mission is over")
 
     async def _finish(self, t_ns: int) -> None:
-        self._record_belief(self._number, t_ns)
-        self.recorder.sources(self._number, t_ns, self.kernel.sources())
+        self.journal.end(self._number, t_ns)
         self.recorder.result(self._number, t_ns, self.result())
 
     def result(self) -> dict[str, Any]:

@@ -2,85 +2,78 @@
 
 Rules, in the order they are asked:
 
-- operator's hold or return stands until resumed;
-- a robot whose link is down, whose pose is older than the limit, or that is not ours to steer gets `Hold`;
+- operator's hold, return, release or a withdrawal stands until resumed;
+- a robot whose link is down, whose pose is unknown, stale, implausible or from the future gets `Hold`;
 - a target that is not finite gets `Hold`; one beyond the fence is drawn back to it, one beyond the longest leg too;
-- a way that crosses ground to be kept out of gets `Hold`;
+- a way that crosses ground to be kept out of, or what lies outside the fence, gets `Hold`;
+- a way that comes too near another robot's, as both would drive them now, gets `Hold`;
 - no faster than the limit;
-- robots nearer to each other than half the separation: the later-named one holds until the gap has opened.
+- robots nearer to each other than half the separation: the later-named one holds until the gap has opened;
+- a stuck robot, a lost radio, a steering loop that was late: hold (`mission.watch`).
+
+Escalation: a hold; then, where a robot is of no more use out there (battery, radio), home, in sequence
+(`mission.homing`); then the operator is called and the robot is out of the mission until resumed.
 
 Every intervention carries its reason. A hold is repeated until the vehicle says it holds.
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fieldkit.engine.keepout import NOWHERE, KeepOut
+from fieldkit.engine.keepout import KeepOut
 from fieldkit.messages import (
+    CallOperator,
     Command,
-    EndMission,
     Event,
     GoTo,
     Hold,
     Operator,
     Pose,
+    ReceiverState,
     Return,
     Tick,
     VehicleState,
     Waypoint,
 )
+from mission.homing import Homing
+from mission.watch import SafetySettings, Trouble, Watched, trouble_of, unfit
+from mission.ways import Way, nearest_m
+
+__all__ = ["Safety", "SafetySettings"]
 
 REPEAT_S = 3.0
 """A hold that has not been confirmed is repeated this often."""
-
-
-@dataclass(frozen=True, slots=True)
-class SafetySettings:
-    """Limits no command passes. The fence is the field's rectangle, `fence_margin_m` inside its border."""
-
-    robots: tuple[str, ...]
-    size_east_m: float
-    size_north_m: float
-    fence_margin_m: float = 0.2
-    max_speed_m_s: float = 0.4
-    max_leg_m: float = 1_000.0
-    pose_timeout_s: float = 2.0
-    min_separation_m: float = 0.5
-    keep_out: KeepOut = NOWHERE
-
-
-@dataclass(slots=True)
-class _Robot:
-    pose: Pose | None = None
-    vehicle: VehicleState | None = None
-    moving: bool = False
-    """Our last word to it was a way-point."""
-    ordered: str = ""
-    """The operator's standing order: hold, return or none."""
-    held_ns: int = -(2**62)
-    too_near: bool = False
+STARTS_S = 2.0
+"""How much later than another a robot may set out: it turns on the spot first, or its order is sent again."""
 
 
 @dataclass
 class Safety:
-    """See the module. `observe` every event before asking `allow` about the commands it led to."""
+    """See the module. `observe` every event before asking `judge` about the commands it led to."""
 
     settings: SafetySettings
     interventions: int = 0
-    _robots: dict[str, _Robot] = field(init=False)
+    homing: Homing = field(default_factory=Homing)
+    robots: dict[str, Watched] = field(init=False)
+    """What it knows of each robot."""
+    _tick_ns: int | None = None
+    _late: str = ""
 
     def __post_init__(self) -> None:
-        self._robots = {name: _Robot() for name in self.settings.robots}
+        self.robots = {name: Watched(name) for name in self.settings.robots}
 
     def observe(self, event: Event) -> list[Command]:
         """Take in an event; commands that safety gives of its own."""
         match event:
-            case Pose() if event.robot in self._robots:
-                self._robots[event.robot].pose = event
-            case VehicleState() if event.robot in self._robots:
-                self._robots[event.robot].vehicle = event
+            case Pose() if event.robot in self.robots:
+                self.robots[event.robot].see(event, self.settings)
+            case VehicleState() if event.robot in self.robots:
+                self.robots[event.robot].vehicle = event
+            case ReceiverState() if event.robot in self.robots:
+                self.robots[event.robot].hear(event)
             case Operator():
                 return self._operator(event)
             case Tick():
@@ -90,117 +83,210 @@ class Safety:
         return []
 
     def allow(self, command: Command) -> Command:
-        """The command as it may be carried out: itself, a tamer one, or a hold."""
-        match command:
-            case GoTo():
-                allowed = self._allow_goto(command)
-            case Hold() | Return() | EndMission():
-                allowed = command
-        if allowed != command:
-            self.interventions += 1
-        robot = getattr(allowed, "robot", None)
-        if robot in self._robots:
-            self._robots[robot].moving = not isinstance(allowed, Hold)
-        return allowed
+        """One command as it may be carried out: itself, a tamer one, or a hold."""
+        return self.judge((command,))[0]
+
+    def judge(self, commands: Sequence[Command]) -> list[Command]:
+        """Commands given together, as they may be carried out; judged against each other, not against old ways."""
+        waiting = {command.robot for command in commands if isinstance(command, GoTo)}
+        judged: list[Command] = []
+        for command in commands:
+            if isinstance(command, GoTo):
+                waiting.discard(command.robot)
+                judged.append(self._allow_goto(command, waiting))
+            else:
+                judged.append(command)
+            self.interventions += judged[-1] != command
+            self._note(judged[-1])
+        return judged
+
+    def _note(self, command: Command) -> None:
+        """Remember what a robot was told."""
+        robot = self.robots.get(getattr(command, "robot", ""))
+        if robot is None:
+            return
+        if isinstance(command, GoTo) and robot.place_m is not None:
+            target = command.waypoint
+            way = Way(robot.place_m, (target.east_m, target.north_m), max(target.speed_m_s, 0.01))
+            robot.send(way, command.t_ns)
+        elif isinstance(command, Hold | Return):
+            robot.stop()
+
+    # -- the operator ----------------------------------------------------------------------------------------
 
     def _operator(self, event: Operator) -> list[Command]:
+        if event.action == "exclude":
+            self._exclude(event)
+            return []
         names = self.settings.robots if event.robot is None else (event.robot,)
         commands: list[Command] = []
-        for name in (n for n in names if n in self._robots):
-            robot = self._robots[name]
-            match event.action:
-                case "hold" | "end":
-                    robot.ordered, robot.moving = "hold", False
-                    commands.append(Hold(event.t_ns, name, event.reason or f"operator: {event.action}"))
-                case "return":
-                    robot.ordered = "return"
-                    commands.append(Return(event.t_ns, name, event.reason or "operator: return"))
-                case "resume":
-                    robot.ordered = ""
+        for robot in (self.robots[name] for name in names if name in self.robots):
+            commands += self._order(robot, event)
+        if event.action == "return":
+            commands += self.homing.step(self.robots, self.settings, event.t_ns)
         return commands
+
+    def _order(self, robot: Watched, event: Operator) -> list[Command]:
+        """One robot's part of what the operator asked for."""
+        reason = event.reason or f"operator: {event.action}"
+        if event.action in ("hold", "end", "release", "resume"):
+            self.homing.forget(robot.name)
+        match event.action:
+            case "hold" | "end":
+                robot.ordered = "hold"
+                robot.stop()
+                return [Hold(event.t_ns, robot.name, reason)]
+            case "return":
+                robot.ordered = "return"
+                robot.stop()
+                self.homing.ask(robot.name, reason)
+                return [Hold(event.t_ns, robot.name, f"{reason}, in sequence")]
+            case "release":
+                robot.ordered = "release"
+                robot.stop()
+            case "withdraw":
+                robot.ordered = robot.ordered or "withdraw"
+            case "resume":
+                robot.ordered, robot.called, robot.troubled_ns = "", False, None
+                robot.progress_ns = event.t_ns
+            case _:
+                pass
+        return []
+
+    def _exclude(self, event: Operator) -> None:
+        if len(event.area_m) < 3 or not np.isfinite(event.area_m).all():
+            return
+        polygons = (*self.settings.keep_out.polygons, event.area_m)
+        self.settings = replace(self.settings, keep_out=KeepOut(polygons))
+
+    # -- time ------------------------------------------------------------------------------------------------
 
     def _watch(self, now_ns: int) -> list[Command]:
-        """Hold robots that move though they must not."""
+        """Hold robots that move though they must not; send home and call for what holding does not mend."""
+        self._late = self._lateness(now_ns)
         self._measure_gaps()
         commands: list[Command] = []
-        for name, robot in self._robots.items():
-            reason = self._unsafe(robot, now_ns)
-            holds = robot.vehicle is not None and robot.vehicle.mode == "hold" and robot.vehicle.link_up
-            if not reason or not (robot.moving or not holds) or robot.ordered == "return":
-                continue
-            if robot.vehicle is not None and robot.vehicle.mode == "other":
-                robot.moving = False  # somebody else steers it: it is not ours to stop
-                continue
-            if robot.moving or (now_ns - robot.held_ns) * 1e-9 >= REPEAT_S:
-                robot.moving, robot.held_ns = False, now_ns
-                self.interventions += 1
-                commands.append(Hold(now_ns, name, reason))
+        for robot in self.robots.values():
+            commands += self._look_at(robot, now_ns)
+        commands += self.homing.step(self.robots, self.settings, now_ns)
+        for command in commands:
+            self._note(command)
         return commands
 
+    def _lateness(self, now_ns: int) -> str:
+        """The steering loop's own silence, or a clock that went back."""
+        before_ns, self._tick_ns = self._tick_ns, now_ns
+        gap_s = 0.0 if before_ns is None else (now_ns - before_ns) * 1e-9
+        if gap_s < 0:
+            return f"the mission's clock went back by {-gap_s:.1f} s"
+        return f"the steering loop was silent for {gap_s:.1f} s" if gap_s > self.settings.overrun_s else ""
+
+    def _look_at(self, robot: Watched, now_ns: int) -> list[Command]:
+        if robot.ordered == "release" or (robot.pose is None and not robot.moving):
+            return []
+        trouble = trouble_of(robot, self.settings, now_ns)
+        if trouble is None and self._late and robot.moving:
+            trouble = Trouble(self._late)
+        if trouble is None:
+            robot.troubled_ns = None
+            return self._taken_over(robot, now_ns)
+        if robot.troubled_ns is None:
+            robot.troubled_ns = now_ns
+        lasted_s = (now_ns - robot.troubled_ns) * 1e-9
+        return [*self._hold(robot, trouble, now_ns), *self._escalate(robot, trouble, lasted_s, now_ns)]
+
+    def _hold(self, robot: Watched, trouble: Trouble, now_ns: int) -> list[Command]:
+        """A hold, unless it holds already or is on its way home; again until the vehicle says so."""
+        if robot.name in self.homing.under_way or not (robot.moving or not robot.holds):
+            return []
+        if robot.somebody_elses:
+            robot.stop()
+            return []
+        if not robot.moving and (now_ns - robot.held_ns) * 1e-9 < REPEAT_S:
+            return []
+        robot.held_ns = now_ns
+        robot.stop()
+        self.interventions += 1
+        return [Hold(now_ns, robot.name, trouble.reason)]
+
+    def _escalate(self, robot: Watched, trouble: Trouble, lasted_s: float, now_ns: int) -> list[Command]:
+        """What follows a hold that lasts."""
+        after_s = self.settings.call_after_s if trouble.after_s is None else trouble.after_s
+        if robot.called or robot.ordered or lasted_s < after_s:
+            return []
+        if trouble.then == "return":
+            if robot.name in self.homing:
+                return []
+            self.homing.ask(robot.name, trouble.reason)
+            robot.ordered = "return"
+            return self._call(robot, f"{trouble.reason}: it is sent home", now_ns)
+        return self._call(robot, trouble.reason, now_ns)
+
+    def _taken_over(self, robot: Watched, now_ns: int) -> list[Command]:
+        """Somebody else steers a robot that was ours, or its own failsafe has it."""
+        if not robot.somebody_elses:
+            robot.called = robot.called and bool(robot.ordered)
+            return []
+        robot.stop()
+        if not robot.ours or robot.called or robot.ordered:
+            return []
+        text = robot.vehicle.text if robot.vehicle is not None else ""
+        return self._call(robot, f"it is not ours to steer any more: {text}".rstrip(": "), now_ns)
+
+    def _call(self, robot: Watched, reason: str, now_ns: int) -> list[Command]:
+        robot.called = True
+        self.interventions += 1
+        return [CallOperator(now_ns, robot.name, reason)]
+
     def _measure_gaps(self) -> None:
-        limit = 0.5 * self.settings.min_separation_m
-        names = list(self._robots)
-        for later, name in enumerate(names):
-            mine = self._robots[name]
-            gaps = [self._gap(mine, self._robots[other]) for other in names[:later]]
+        limit = self.settings.near_m
+        robots = list(self.robots.values())
+        for later, mine in enumerate(robots):
+            gaps = [_gap_m(mine, other) for other in robots[:later]]
             nearest = min(gaps, default=math.inf)
             mine.too_near = nearest < (1.2 * limit if mine.too_near else limit)
 
-    @staticmethod
-    def _gap(one: _Robot, other: _Robot) -> float:
-        if one.pose is None or other.pose is None:
-            return math.inf
-        return math.hypot(one.pose.east_m - other.pose.east_m, one.pose.north_m - other.pose.north_m)
+    # -- way-points ------------------------------------------------------------------------------------------
 
-    def _unsafe(self, robot: _Robot, now_ns: int) -> str:
-        """Why this robot must not move; empty when it may."""
-        if robot.pose is None:
-            return "" if not robot.moving else "its position is unknown"
-        age_s = (now_ns - robot.pose.t_ns) * 1e-9
-        if age_s > self.settings.pose_timeout_s:
-            return f"its position is {age_s:.1f} s old (limit {self.settings.pose_timeout_s:.1f} s)"
-        if robot.vehicle is not None and not robot.vehicle.link_up:
-            return f"its link is down: {robot.vehicle.text}".rstrip(": ")
-        if robot.moving and self._outside(robot.pose):
-            return f"it is outside the fence, at {robot.pose.east_m:.1f} m east, {robot.pose.north_m:.1f} m north"
-        if (
-            robot.moving
-            and self.settings.keep_out.contains(np.array([[robot.pose.east_m, robot.pose.north_m]]))[0]
-        ):
-            return "it has entered ground it must keep out of"
-        if robot.moving and robot.too_near:
-            return f"it is nearer than {0.5 * self.settings.min_separation_m:.2f} m to another robot"
-        return ""
-
-    def _outside(self, pose: Pose) -> bool:
-        s = self.settings
-        return not (-s.fence_margin_m <= pose.east_m <= s.size_east_m + s.fence_margin_m) or not (
-            -s.fence_margin_m <= pose.north_m <= s.size_north_m + s.fence_margin_m
-        )
-
-    def _allow_goto(self, command: GoTo) -> Command:
-        robot = self._robots.get(command.robot)
-        target = command.waypoint
-        if robot is None:
-            return Hold(command.t_ns, command.robot, "safety does not know this robot")
-        if not all(
-            math.isfinite(value) for value in (target.east_m, target.north_m, target.speed_m_s, target.up_m)
-        ):
-            return Hold(command.t_ns, command.robot, f"its target is not finite: {target}")
-        if robot.ordered:
-            return Hold(command.t_ns, command.robot, f"operator: {robot.ordered}")
-        if robot.pose is None:
-            return Hold(command.t_ns, command.robot, "its position is unknown")
-        age_s = (command.t_ns - robot.pose.t_ns) * 1e-9
-        if age_s > self.settings.pose_timeout_s:
-            return Hold(command.t_ns, command.robot, f"its position is {age_s:.1f} s old")
-        if robot.vehicle is not None and not robot.vehicle.link_up:
-            return Hold(command.t_ns, command.robot, "its link is down")
-        tame = self._tame(target, robot.pose)
-        here = np.array([[robot.pose.east_m, robot.pose.north_m]])
-        if self.settings.keep_out.blocks(here, np.array([[tame.east_m, tame.north_m]]))[0]:
+    def _allow_goto(self, command: GoTo, waiting: set[str]) -> Command:
+        """`waiting` are robots that get a new way in the same breath: their old ways count no more."""
+        robot = self.robots.get(command.robot)
+        reason = "there is no such robot in this mission" if robot is None else self._forbids(robot, command)
+        if reason or robot is None or robot.pose is None:
+            return Hold(command.t_ns, command.robot, reason)
+        tame = self._tame(command.waypoint, robot.pose)
+        here = (robot.pose.east_m, robot.pose.north_m)
+        way = Way(here, (tame.east_m, tame.north_m), max(tame.speed_m_s, 0.01))
+        if self.settings.keep_out.blocks(np.array([way.start_m]), np.array([way.end_m]))[0]:
             return Hold(command.t_ns, command.robot, "its way crosses ground it must keep out of")
+        if reason := self._meets(robot, way, waiting):
+            return Hold(command.t_ns, command.robot, reason)
         return GoTo(command.t_ns, command.robot, tame)
+
+    def _forbids(self, robot: Watched, command: GoTo) -> str:
+        """Why it may not be sent anywhere; empty when it may."""
+        target = command.waypoint
+        if not all(map(math.isfinite, (target.east_m, target.north_m, target.speed_m_s, target.up_m))):
+            return f"its target is not finite: {target}"
+        if robot.ordered:
+            return f"a standing order: {robot.ordered}"
+        # Not `astray`: from outside the fence or too near another, a way may lead back in, or apart.
+        trouble = unfit(robot, self.settings, command.t_ns)
+        return self._late if trouble is None else trouble.reason
+
+    def _meets(self, robot: Watched, way: Way, waiting: set[str]) -> str:
+        """Whose way this one comes too near, however their starts fall; empty when it keeps clear."""
+        limit_m = 1.2 * self.settings.near_m
+        for other in self.robots.values():
+            its = other.way()
+            if other is robot or its is None or (other.name in waiting and other.moving):
+                continue
+            now_m = math.dist(way.start_m, its.start_m)
+            starts = [(0.0, 0.0), (STARTS_S, 0.0), (0.0, STARTS_S)] if its.speed_m_s else [(0.0, 0.0)]
+            nearest = min(nearest_m(replace(way, delay_s=a), replace(its, delay_s=b)) for a, b in starts)
+            if nearest < min(limit_m, now_m - 0.01):
+                return f"its way comes within {nearest:.2f} m of {other.name}"
+        return ""
 
     def _tame(self, target: Waypoint, pose: Pose) -> Waypoint:
         """The way-point within leg, fence and speed; unchanged when it is already."""
@@ -222,3 +308,9 @@ class Safety:
             min(max(east_m, margin_e), s.size_east_m - margin_e),
             min(max(north_m, margin_n), s.size_north_m - margin_n),
         )
+
+
+def _gap_m(one: Watched, other: Watched) -> float:
+    if one.place_m is None or other.place_m is None:
+        return math.inf
+    return math.dist(one.place_m, other.place_m)

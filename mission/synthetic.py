@@ -43,6 +43,7 @@ def small_mission(
         sources_found=sources_found,
         fence_margin_m=0.2,
         min_separation_m=0.5,
+        overrun_s=60.0,
         robots=[TemplateRobot(f"r{k}", f"port{k}", "udpin:127.0.0.1:14550", k) for k in range(1, robots + 1)],
     )
     write_whole(folder / "mission.toml", text)
@@ -93,10 +94,10 @@ def record_simulated(
             allowed = safety.observe(event)
             for command in allowed:
                 recorder.command(number, event.t_ns, command, "safety")
-            for command in outcome.commands:
-                recorder.command(number, event.t_ns, command, "kernel")
-                allowed.append(safety.allow(command))
-                recorder.command(number, event.t_ns, allowed[-1], "safety")
+            for asked, passed in zip(outcome.commands, safety.judge(outcome.commands), strict=True):
+                recorder.command(number, event.t_ns, asked, "kernel")
+                recorder.command(number, event.t_ns, passed, "safety")
+                allowed.append(passed)
             for detection in outcome.detections:
                 recorder.detection(number, event.t_ns, detection)
             if outcome.plan is not None:

@@ -38,6 +38,7 @@ def mission_text(
     sources_found: int | None = None,
     fence_margin_m: float = 0.5,
     min_separation_m: float = 1.0,
+    overrun_s: float = 3.0,
     robots: Sequence[TemplateRobot] = EXAMPLE_ROBOTS,
 ) -> str:
     """The text of a mission file. Robots are teamed two by two."""
@@ -66,6 +67,7 @@ origin_lon_deg = {origin_deg[1]:.6f}
 size_east_m = {size_m:.1f}
 size_north_m = {size_m:.1f}
 cell_m = {cell_m}                 # about a fifth of the shortest range is a good cell
+# fence = [[0.5, 0.5], [20.0, 0.5], [12.0, 20.0]]    # a polygon no robot may leave; else the rectangle
 # keep_out = [[[3.0, 3.0], [5.0, 3.0], [5.0, 6.0]]]  # polygons of (east, north) in metres no robot may enter
 
 [antenna]
@@ -96,7 +98,10 @@ max_duration_s = {max_duration_s:.1f}
 fence_margin_m = {fence_margin_m}         # way-points stay this far inside the field
 max_speed_m_s = 0.4
 pose_timeout_s = 2.0
-min_separation_m = {min_separation_m}       # between way-points of different robots
+min_separation_m = {min_separation_m}       # between way-points of different robots; nearer than half of it, one holds
+overrun_s = {overrun_s}              # robots hold when the steering loop was silent for longer
+battery_reserve_pct = 25.0   # a robot goes home with this much left, or earlier where the way home is long:
+# battery_pct_per_m = 0.02   # what a metre costs; half as much again is kept for the way home
 
 # [[positions]]              # where robots are, if not from their own telemetry: see docs/camera.md
 # driver = "camera"

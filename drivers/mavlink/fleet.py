@@ -203,9 +203,15 @@ class MavlinkLink:
 
     # Commands
 
-    async def take_over(self, robot: str) -> None:
+    async def take_over(self, robot: str, *, arm: bool = True) -> None:
         """Set message rates, GUIDED, armed; each confirmed by the vehicle's own heartbeat."""
-        await self._orders.take_over(self._of(robot))
+        await self._orders.take_over(self._of(robot), arm=arm)
+
+    def release(self, robot: str) -> None:
+        """Send it nothing more; whoever takes it has it."""
+        steered = self._of(robot)
+        steered.stop()
+        steered.vehicle.owner = "lost"
 
     async def goto(self, robot: str, waypoint: Waypoint) -> None:
         """DO_REPOSITION in a global frame, acknowledged; watched and sent again while under way."""

@@ -48,7 +48,7 @@ class Orders:
             if not waiter.done():
                 waiter.set_result(0)
 
-    async def take_over(self, steered: Steered) -> None:
+    async def take_over(self, steered: Steered, *, arm: bool = True) -> None:
         """Set message rates, GUIDED, armed; each confirmed by the vehicle's own heartbeat."""
         vehicle = steered.vehicle
         async with steered.lock:
@@ -73,7 +73,8 @@ class Orders:
             vehicle.owner, vehicle.commanded = "us", None
             try:
                 await self._mode(steered, "guided")
-                await self._arm(vehicle)
+                if arm:
+                    await self._arm(vehicle)
             except BaseException:
                 vehicle.owner = "nobody"
                 raise

@@ -11,6 +11,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from fieldkit.messages import (
+    CallOperator,
     Command,
     Detection,
     EndMission,
@@ -71,7 +72,13 @@ _IN: dict[str, type[Event]] = {
     "tick": Tick,
     "operator": Operator,
 }
-_OUT: dict[str, type[Command]] = {"goto": GoTo, "hold": Hold, "return": Return, "end": EndMission}
+_OUT: dict[str, type[Command]] = {
+    "goto": GoTo,
+    "hold": Hold,
+    "return": Return,
+    "call": CallOperator,
+    "end": EndMission,
+}
 
 TOPICS: tuple[Topic, ...] = (
     Topic("/header", "fieldkit.Header", None, "header"),

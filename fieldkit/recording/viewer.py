@@ -24,7 +24,12 @@ from fieldkit.messages import FloatArray, Pose, SourceEstimate
 
 FRAME = "field"
 _LEVELS = {"debug": Log.DEBUG, "info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
-_COLOURS = {"found": (0.1, 0.6, 0.2), "candidate": (0.95, 0.6, 0.1), "doubtful": (0.6, 0.6, 0.6)}
+_COLOURS = {
+    "found": (0.1, 0.6, 0.2),
+    "candidate": (0.95, 0.6, 0.1),
+    "doubtful": (0.6, 0.6, 0.6),
+    "removed": (0.4, 0.4, 0.5),
+}
 
 
 def stamp(t_ns: int) -> Timestamp:

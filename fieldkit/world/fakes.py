@@ -114,11 +114,15 @@ class FakeFleet:
         """Count it."""
         self.beats += 1
 
-    async def take_over(self, robot: str) -> None:
+    async def take_over(self, robot: str, *, arm: bool = True) -> None:
         """Ours, and armed."""
         self._check(robot)
-        self._armed[robot] = True
+        self._armed[robot] = self._armed[robot] or arm
         self._set(robot, "guided")
+
+    def release(self, robot: str) -> None:
+        """Not ours any more."""
+        self._set(robot, "other")
 
     async def goto(self, robot: str, waypoint: Waypoint) -> None:
         """Drive there. Refused before `take_over`, and for targets that are no numbers."""

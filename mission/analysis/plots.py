@@ -62,7 +62,7 @@ def field_map(story: Story) -> Figure:
 
 
 def _draw_source(axes: plt.Axes, source: SourceEstimate) -> None:
-    colour = {"found": FOUND, "candidate": CANDIDATE, "doubtful": DOUBTFUL}[source.state]
+    colour = {"found": FOUND, "candidate": CANDIDATE, "doubtful": DOUBTFUL, "removed": DOUBTFUL}[source.state]
     values, vectors = np.linalg.eigh(source.cov_m2)
     angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
     spread = 2 * 2.146 * np.sqrt(np.maximum(values, 1e-6))  # 90 % of a plane normal lies within 2.146 sigma

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldkit.messages import GoTo, Hold, Operator, Pose, Return, Tick, VehicleState, Waypoint
+from fieldkit.messages import CallOperator, GoTo, Hold, Operator, Pose, Return, Tick, VehicleState, Waypoint
 from mission.safety import Safety, SafetySettings
 
 S = 1_000_000_000
@@ -80,9 +80,12 @@ def test_an_unknown_position_or_robot_gets_no_target() -> None:
 def test_a_moving_robot_outside_the_fence_is_held() -> None:
     safety = ready()
     safety.allow(goto(3.0, 4.0))
-    safety.observe(Pose(S, "a", 2.0, 8.8))
-    (hold,) = safety.observe(Tick(S))
-    assert "outside the fence" in hold.reason
+    safety.observe(Pose(4 * S, "a", 2.0, 4.5))
+    safety.observe(Pose(8 * S, "a", 2.0, 8.2))
+    safety.observe(Pose(8 * S, "b", 6.0, 2.0))
+    hold, call = safety.observe(Tick(8 * S))
+    assert isinstance(hold, Hold) and "outside the fence" in hold.reason
+    assert isinstance(call, CallOperator) and call.robot == "a"
 
 
 def test_of_two_robots_too_near_the_later_named_one_holds() -> None:
@@ -106,9 +109,13 @@ def test_the_operators_hold_stands_until_resumed() -> None:
 
 def test_return_is_ordered_once_and_not_undone_by_holds() -> None:
     safety = ready()
-    assert all(isinstance(c, Return) for c in safety.observe(Operator(S, "return")))
-    safety.observe(VehicleState(2 * S, "a", "return", True))
-    assert [c for c in safety.observe(Tick(60 * S)) if c.robot == "a"] == []
+    for robot, east in (("a", 2.0), ("b", 6.0)):
+        safety.observe(Pose(60 * S, robot, east, 6.0))
+    commands = safety.observe(Operator(60 * S, "return"))
+    assert {c.robot for c in commands if isinstance(c, Hold)} == {"a", "b"}, "all stop first"
+    assert {c.robot for c in commands if isinstance(c, Return)} == {"a", "b"}, "their ways are far apart"
+    safety.observe(VehicleState(60 * S, "a", "return", True))
+    assert [c for c in safety.observe(Tick(62 * S)) if c.robot == "a"] == []
 
 
 @pytest.mark.parametrize("action", ["hold", "end"])

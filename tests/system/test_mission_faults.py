@@ -46,5 +46,6 @@ def test_an_unplugged_radio_and_a_lost_link_stop_neither_mission_nor_record(tmp_
     allowed = [(number, c) for number, _, origin, c in recording.commands() if origin == "safety"]
     held = min(number for number, c in allowed if isinstance(c, Hold) and c.robot == "r3")
     assert not [c for number, c in allowed if number > held and isinstance(c, GoTo) and c.robot == "r3"]
-    assert {c.robot for number, c in allowed if number > held and isinstance(c, GoTo)} >= {"r1", "r2"}
+    assert {c.robot for number, c in allowed if number > held and isinstance(c, GoTo)} >= {"r2", "r4"}
+    assert [c for _, c in allowed if isinstance(c, Hold) and c.robot == "r1" and "radio" in c.reason]
     assert replay(path).complete

@@ -1,0 +1,111 @@
+"""Straight ways of robots: how near two of them come, and what lies outside a fence. Pure geometry, field frame."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from fieldkit.engine.keepout import KeepOut, Polygon
+
+Place = tuple[float, float]
+FAR_M = 1e7
+"""How far the ground outside a fence is taken to reach."""
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """From one place straight to another, and to stand there. A robot that stands goes to where it is."""
+
+    start_m: Place
+    end_m: Place
+    speed_m_s: float = 0.0
+    delay_s: float = 0.0
+
+    @property
+    def length_m(self) -> float:
+        return math.dist(self.start_m, self.end_m)
+
+    @property
+    def arrival_s(self) -> float:
+        return self.delay_s + (self.length_m / self.speed_m_s if self.speed_m_s > 0 else 0.0)
+
+    def at(self, t_s: float) -> Place:
+        """Where it is after `t_s`."""
+        if self.length_m == 0 or self.speed_m_s <= 0:
+            return self.start_m
+        share = min(max((t_s - self.delay_s) * self.speed_m_s / self.length_m, 0.0), 1.0)
+        (e0, n0), (e1, n1) = self.start_m, self.end_m
+        return (e0 + share * (e1 - e0), n0 + share * (n1 - n0))
+
+
+def standing(place_m: Place) -> Way:
+    """A robot that stays where it is."""
+    return Way(place_m, place_m)
+
+
+def nearest_m(one: Way, other: Way) -> float:
+    """The least distance between two robots that set out now, each at its speed."""
+    moments = sorted({0.0, one.delay_s, other.delay_s, one.arrival_s, other.arrival_s})
+    nearest = math.dist(one.at(moments[-1]), other.at(moments[-1]))
+    for begin_s, end_s in pairwise(moments):
+        a, b = _apart(one, other, begin_s), _apart(one, other, end_s)
+        nearest = min(nearest, _from_origin(a, b))
+    return nearest
+
+
+def ever_m(one: Way, other: Way) -> float:
+    """The least distance between two ways, whenever they are driven."""
+    p, q = np.array([one.start_m]), np.array([one.end_m])
+    if KeepOut(((other.start_m, other.end_m, other.end_m),)).blocks(p, q)[0]:
+        return 0.0
+    ends = [
+        (one.start_m, other),
+        (one.end_m, other),
+        (other.start_m, one),
+        (other.end_m, one),
+    ]
+    return min(to_segment_m(point, way.start_m, way.end_m) for point, way in ends)
+
+
+def to_segment_m(point: Place, start: Place, end: Place) -> float:
+    """Distance of a point from a segment."""
+    return _from_origin(
+        (start[0] - point[0], start[1] - point[1]),
+        (end[0] - point[0], end[1] - point[1]),
+    )
+
+
+def _apart(one: Way, other: Way, t_s: float) -> Place:
+    (e0, n0), (e1, n1) = one.at(t_s), other.at(t_s)
+    return (e1 - e0, n1 - n0)
+
+
+def _from_origin(a: Place, b: Place) -> float:
+    """Least distance of the segment from `a` to `b` from the origin."""
+    step = (b[0] - a[0], b[1] - a[1])
+    length2 = step[0] ** 2 + step[1] ** 2
+    share = 0.0 if length2 == 0 else min(max(-(a[0] * step[0] + a[1] * step[1]) / length2, 0.0), 1.0)
+    return math.hypot(a[0] + share * step[0], a[1] + share * step[1])
+
+
+def outside(fence: Sequence[Place]) -> Polygon:
+    """All ground outside a fence (at least three corners) as one polygon to keep out of.
+
+    A keyhole: round the far border, in along a seam, round the fence, out along the same seam. The seam runs west
+    from the westernmost corner, so it lies outside, and a ray to the east never crosses it.
+    """
+    first = min(range(len(fence)), key=lambda index: fence[index][0])
+    corners = [*fence[first:], *fence[:first]]
+    seam = (-FAR_M, corners[0][1])
+    far = [seam, (-FAR_M, -FAR_M), (FAR_M, -FAR_M), (FAR_M, FAR_M), (-FAR_M, FAR_M), seam]
+    return (*far, *corners, corners[0])
+
+
+def margin_m(place: Place, fence: Sequence[Place]) -> float:
+    """Distance of a place from a fence; negative outside it."""
+    edges = zip(fence, (*fence[1:], fence[0]), strict=True)
+    distance = min(to_segment_m(place, start, end) for start, end in edges)
+    is_inside = KeepOut((tuple(fence),)).contains(np.array([place]))[0]
+    return distance if is_inside else -distance

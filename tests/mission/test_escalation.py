@@ -1,0 +1,331 @@
+"""From a hold to the way home to the operator: what safety does when a trouble lasts, and who returns when."""
+
+import math
+
+import pytest
+
+from fieldkit.engine.keepout import KeepOut
+from fieldkit.messages import (
+    CallOperator,
+    Command,
+    GoTo,
+    Hold,
+    Operator,
+    Pose,
+    ReceiverState,
+    Return,
+    Tick,
+    VehicleMode,
+    VehicleState,
+    Waypoint,
+)
+from mission.safety import Safety, SafetySettings
+from mission.ways import outside
+
+S = 1_000_000_000
+
+
+class Field:
+    """Safety, with robots that drive as they are told, a tick a second."""
+
+    def __init__(self, **limits: object) -> None:
+        settings = SafetySettings(("a", "b"), 20.0, 20.0, max_speed_m_s=0.5, min_separation_m=1.0)
+        self.safety = Safety(SafetySettings(**{**_fields(settings), **limits}))  # type: ignore[arg-type]
+        self.t_s = 0
+        names = self.safety.settings.robots
+        self.at = {name: (2.0 + 4.0 * k, 2.0) for k, name in enumerate(names)}
+        self.home = dict(self.at)
+        self.goal: dict[str, tuple[float, float] | None] = dict.fromkeys(names)
+        self.mode: dict[str, VehicleMode] = dict.fromkeys(names, "guided")
+        self.battery: dict[str, float | None] = dict.fromkeys(names)
+        self.stuck: set[str] = set()
+        self.dumb: set[str] = set()
+        """Robots of which no position comes any more."""
+        self.log: list[Command] = []
+        self.tick()
+
+    def tick(self, seconds: int = 1, gap_s: int = 1) -> None:
+        for _ in range(seconds):
+            self.t_s += gap_s
+            for name, place in self.at.items():
+                if (goal := self.goal[name]) is not None and name not in self.stuck:
+                    left = math.dist(place, goal)
+                    share = min(1.0, 0.5 * gap_s / left) if left > 0 else 1.0
+                    self.at[name] = tuple(p + share * (g - p) for p, g in zip(place, goal, strict=True))  # type: ignore[assignment]
+                if name not in self.dumb:
+                    self.safety.observe(Pose(self.t_s * S, name, *self.at[name]))
+                state = VehicleState(self.t_s * S, name, self.mode[name], True, True, self.battery[name])
+                self.safety.observe(state)
+            self.carry_out(self.safety.observe(Tick(self.t_s * S)))
+
+    def carry_out(self, commands: list[Command]) -> None:
+        self.log += commands
+        for command in commands:
+            match command:
+                case GoTo(_, robot, waypoint):
+                    self.goal[robot], self.mode[robot] = (waypoint.east_m, waypoint.north_m), "guided"
+                case Hold(_, robot, _):
+                    self.goal[robot], self.mode[robot] = None, "hold"
+                case Return(_, robot, _):
+                    self.goal[robot], self.mode[robot] = self.home[robot], "return"
+                case _:
+                    pass
+
+    def ask(self, action: str, robot: str | None = None, **more: object) -> None:
+        self.carry_out(self.safety.observe(Operator(self.t_s * S, action, robot, **more)))  # type: ignore[arg-type]
+
+    def send(self, *targets: tuple[str, float, float]) -> list[Command]:
+        asked = [GoTo(self.t_s * S, robot, Waypoint(east, north, 0.5)) for robot, east, north in targets]
+        judged = self.safety.judge(asked)
+        self.carry_out(judged)
+        return judged
+
+    def said(self, kind: type, robot: str) -> list[str]:
+        return [c.reason for c in self.log if isinstance(c, kind) and c.robot == robot]  # type: ignore[attr-defined]
+
+
+def _fields(settings: SafetySettings) -> dict[str, object]:
+    return {name: getattr(settings, name) for name in SafetySettings.__dataclass_fields__}
+
+
+# Ways
+
+
+def test_a_way_into_anothers_is_held_and_the_first_named_goes() -> None:
+    field = Field()
+    first, second = field.send(("a", 6.0, 8.0), ("b", 2.0, 8.0))
+    assert isinstance(first, GoTo)
+    assert isinstance(second, Hold) and "of a" in second.reason
+
+
+def test_old_ways_of_robots_that_get_new_ones_do_not_count() -> None:
+    field = Field()
+    field.send(("b", 2.0, 8.0))
+    field.tick(2)
+    judged = field.send(("a", 2.0, 9.0), ("b", 8.0, 8.0))
+    assert all(isinstance(c, GoTo) for c in judged)
+
+
+def test_a_way_past_a_standing_robot_is_held_but_one_away_from_it_is_not() -> None:
+    field = Field()
+    assert isinstance(field.send(("a", 8.0, 2.0))[0], Hold)
+    field.at["b"] = (2.4, 2.0)
+    field.tick(5)
+    assert isinstance(field.send(("a", 1.0, 2.0))[0], GoTo)
+
+
+def test_nothing_is_sent_out_of_a_fence_polygon() -> None:
+    field = Field(keep_out=KeepOut((outside(((0.0, 0.0), (20.0, 0.0), (0.0, 20.0))),)))
+    assert isinstance(field.send(("a", 5.0, 5.0))[0], GoTo)
+    held = field.send(("b", 15.0, 15.0))[0]
+    assert isinstance(held, Hold) and "keep out" in held.reason
+
+
+def test_an_excluded_area_is_closed_from_then_on() -> None:
+    field = Field()
+    assert isinstance(field.send(("a", 2.0, 10.0))[0], GoTo)
+    field.ask("exclude", area_m=((0.0, 5.0), (4.0, 5.0), (4.0, 7.0), (0.0, 7.0)))
+    assert isinstance(field.send(("a", 2.0, 10.0))[0], Hold)
+    field.ask("exclude", area_m=((0.0, 5.0), (float("nan"), 5.0), (4.0, 7.0)))
+    assert len(field.safety.settings.keep_out.polygons) == 1
+
+
+# Troubles
+
+
+def test_a_position_that_jumps_is_not_believed_until_it_has_settled() -> None:
+    field = Field()
+    field.send(("a", 2.0, 15.0))
+    field.tick(3)
+    field.at["a"] = (12.0, 12.0)
+    field.tick()
+    assert "jumped" in field.said(Hold, "a")[-1]
+    assert isinstance(field.send(("a", 12.0, 15.0))[0], Hold)
+    field.tick(4)
+    assert isinstance(field.send(("a", 12.0, 15.0))[0], GoTo)
+
+
+def test_a_position_from_the_future_holds() -> None:
+    field = Field()
+    field.send(("a", 2.0, 15.0))
+    field.safety.observe(Pose((field.t_s + 5) * S, "a", 2.0, 2.0))
+    field.dumb.add("a")
+    field.tick()
+    assert "a clock is wrong" in field.said(Hold, "a")[-1]
+
+
+def test_a_late_steering_loop_holds_what_moves_and_then_goes_on() -> None:
+    field = Field()
+    field.send(("a", 2.0, 15.0))
+    field.tick(gap_s=5)
+    assert "silent for 5.0 s" in field.said(Hold, "a")[-1]
+    assert not field.said(Hold, "b"), "it was standing"
+    field.tick()
+    assert isinstance(field.send(("a", 2.0, 15.0))[0], GoTo)
+
+
+def test_a_clock_that_goes_back_holds() -> None:
+    field = Field()
+    field.send(("a", 2.0, 15.0))
+    field.safety.observe(Pose((field.t_s - 1) * S, "a", 2.0, 2.2))
+    field.carry_out(field.safety.observe(Tick((field.t_s - 1) * S)))
+    assert "went back" in field.said(Hold, "a")[-1]
+
+
+def test_a_stuck_robot_is_held_and_the_operator_called_once() -> None:
+    field = Field()
+    field.stuck.add("a")
+    field.send(("a", 2.0, 15.0), ("b", 6.0, 15.0))
+    field.tick(60)
+    assert "stuck" in field.said(Hold, "a")[0]
+    assert len(field.said(CallOperator, "a")) == 1
+    assert not field.said(CallOperator, "b")
+    field.ask("withdraw", "a")
+    assert isinstance(field.send(("a", 2.0, 15.0))[0], Hold)
+    field.stuck.clear()
+    field.ask("resume", "a")
+    assert isinstance(field.send(("a", 2.0, 15.0))[0], GoTo)
+
+
+def test_a_slow_robot_is_not_stuck() -> None:
+    field = Field()
+    field.safety.judge([GoTo(field.t_s * S, "a", Waypoint(2.0, 15.0, 0.125))])
+    for _ in range(90):
+        field.at["a"] = (2.0, field.at["a"][1] + 0.12)
+        field.tick()
+    assert not field.said(CallOperator, "a")
+
+
+def test_a_stale_position_calls_the_operator_when_it_lasts() -> None:
+    field = Field()
+    field.send(("a", 2.0, 15.0))
+    field.dumb.add("a")
+    field.tick(20)
+    assert field.said(Hold, "a") and not field.said(CallOperator, "a")
+    field.tick(20)
+    assert len(field.said(CallOperator, "a")) == 1
+
+
+def test_a_robot_somebody_else_took_is_left_alone_and_reported() -> None:
+    field = Field()
+    field.send(("a", 2.0, 15.0))
+    field.tick(2)
+    field.mode["a"] = "other"
+    field.tick(30)
+    assert len(field.said(CallOperator, "a")) == 1
+    assert not field.said(Hold, "a")
+
+
+def test_a_silent_radio_holds_then_goes_home() -> None:
+    field = Field()
+    field.send(("a", 2.0, 15.0))
+    field.tick(10)
+    field.safety.observe(ReceiverState(field.t_s * S, "a", False, "unplugged"))
+    field.tick(9)
+    assert not field.said(Hold, "a")
+    field.tick(4)
+    assert "radio" in field.said(Hold, "a")[0] and not field.said(Return, "a")
+    field.tick(140)
+    assert len(field.said(Return, "a")) == 1 and "it is home" in field.said(Hold, "a")[-1]
+    assert math.dist(field.at["a"], field.home["a"]) < 0.6
+
+
+def test_a_radio_that_comes_back_soon_changes_nothing() -> None:
+    field = Field()
+    field.send(("a", 2.0, 15.0))
+    field.safety.observe(ReceiverState(field.t_s * S, "a", False, "unplugged"))
+    field.tick(8)
+    field.safety.observe(ReceiverState(field.t_s * S, "a", True))
+    field.tick(20)
+    assert not field.said(Hold, "a")
+
+
+# Battery and the way home
+
+
+@pytest.mark.parametrize(("pct", "per_m", "goes"), [(30, 0.0, False), (25, 0.0, True), (30, 2.5, True)])
+def test_the_reserve_grows_with_the_way_home(pct: float, per_m: float, goes: bool) -> None:
+    field = Field(battery_pct_per_m=per_m)
+    field.send(("a", 2.0, 12.0))
+    field.tick(30)
+    field.battery["a"] = pct
+    field.tick(2)
+    assert bool(field.said(Return, "a")) == goes
+    field.tick(40)
+    assert bool(field.said(CallOperator, "a")) == goes
+    if goes:
+        assert math.dist(field.at["a"], field.home["a"]) < 0.6
+
+
+def test_robots_return_one_after_the_other_where_their_ways_cross() -> None:
+    field = Field()
+    field.send(("a", 2.0, 10.0), ("b", 6.0, 10.0))
+    field.tick(30)
+    field.at = {"a": (6.0, 10.0), "b": (2.0, 10.0)}  # carried across: the ways home cross
+    field.tick(5)
+    field.log.clear()
+    field.ask("return")
+    assert {c.robot for c in field.log if isinstance(c, Hold)} == {"a", "b"}
+    closest = math.inf
+    for _ in range(120):
+        field.tick()
+        closest = min(closest, math.dist(*field.at.values()))
+    assert [c.robot for c in field.log if isinstance(c, Return)] == ["a", "b"]
+    assert closest > 0.5
+    assert all(math.dist(field.at[name], field.home[name]) < 0.6 for name in "ab")
+
+
+def test_robots_with_clear_ways_return_together() -> None:
+    field = Field()
+    field.send(("a", 2.0, 10.0), ("b", 6.0, 10.0))
+    field.tick(30)
+    field.ask("return")
+    assert {c.robot for c in field.log if isinstance(c, Return)} == {"a", "b"}
+
+
+def test_a_blocked_way_home_is_the_operators_business() -> None:
+    field = Field()
+    field.send(("a", 2.0, 12.0))
+    field.tick(30)
+    field.at["b"] = (2.0, 6.0)
+    field.tick(5)
+    field.ask("return", "a")
+    field.tick(10)
+    assert not field.said(Return, "a")
+    assert any("blocked" in reason for reason in field.said(CallOperator, "a"))
+
+
+def test_a_return_that_is_not_obeyed_is_asked_again_and_reported() -> None:
+    field = Field()
+    field.send(("a", 2.0, 12.0))
+    field.tick(30)
+    field.stuck.add("a")
+    field.ask("return", "a")
+    for _ in range(200):
+        field.mode["a"] = "hold"
+        field.tick()
+    assert len(field.said(Return, "a")) > 10
+    assert any("did not get home" in reason for reason in field.said(CallOperator, "a"))
+
+
+def test_resume_ends_a_return() -> None:
+    field = Field()
+    field.send(("a", 2.0, 12.0))
+    field.tick(30)
+    field.ask("return", "a")
+    field.ask("resume", "a")
+    field.log.clear()
+    field.tick(20)
+    assert not field.said(Return, "a")
+    assert isinstance(field.send(("a", 2.0, 12.0))[0], GoTo)
+
+
+def test_a_released_robot_gets_no_commands_at_all() -> None:
+    field = Field()
+    field.send(("a", 2.0, 12.0))
+    field.ask("release", "a")
+    field.log.clear()
+    field.dumb.add("a")
+    field.battery["a"] = 1.0
+    field.tick(60)
+    assert not [c for c in field.log if getattr(c, "robot", "") == "a"]
