@@ -3,11 +3,12 @@
 A driver is opened with `async with` and closed even when cancelled. Closing twice is harmless.
 """
 
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Protocol, Self, runtime_checkable
 
+from fieldkit.checks import Check
 from fieldkit.clock import Clock
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import Pose, ReceiverState, RssReading, VehicleState, Waypoint
@@ -64,6 +65,13 @@ class VehicleLink(_Opened, Protocol):
         """Make the vehicle ours to steer and armed. Raises `VehicleRefused` with the vehicle's own words.
 
         With `arm` False one that is disarmed stays so.
+        """
+        ...
+
+    async def inspect(self, robot: str, fence_m: Sequence[tuple[float, float]] = ()) -> list[Check]:
+        """Whether the vehicle is fit for a mission, its own failsafes first. Nothing is armed, nothing moves.
+
+        With `fence_m` (corners east, north) that is put into the vehicle as its own fence, and read back.
         """
         ...
 

@@ -97,6 +97,38 @@ def run(
     typer.echo(f"written: {folder}/{{mission.mcap, mission.toml, report.html}}")
 
 
+def preflight(
+    mission_file: Annotated[Path, typer.Argument(metavar="MISSION.TOML", help="The mission file.")],
+    listen_s: Annotated[float, typer.Option(min=1.0, help="How long the radios listen.")] = 10.0,
+    out: Annotated[Path, typer.Option(help="Folder that will get the recordings.")] = Path("runs"),
+    as_json: JsonOption = False,
+) -> None:
+    """Check radios, vehicles, clocks, fence and failsafes before the start. Nothing is armed, nothing moves.
+
+    Exit code 0: go; 1: there is a red check. A mission with red checks of its vehicles does not start.
+
+    Example: fieldkit preflight mission.toml
+    """
+    import asyncio
+    from dataclasses import asdict
+
+    from fieldkit.checks import worst
+    from mission import preflight as before
+    from mission import rigs
+    from mission.config import read_mission
+    from mission.console import checks_table
+
+    mission = read_mission(mission_file)
+    _say(f"listening for {listen_s:g} s ...")
+    checks = asyncio.run(before.preflight(mission, rigs.live(mission), out, listen_s))
+    verdict = worst(checks)
+    if as_json:
+        _print_json({"verdict": verdict, "checks": [asdict(check) for check in checks]})
+    else:
+        checks_table(checks)
+    raise typer.Exit(verdict == "red")
+
+
 def replay(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="A recording (mission.mcap).")],
     antenna: Annotated[Path | None, typer.Option(help="What if: another antenna file.")] = None,

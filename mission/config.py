@@ -120,6 +120,10 @@ class SafetyTable(_Table):
     call_after_s: float = Field(default=30.0, gt=0)
     battery_reserve_pct: float = Field(default=25.0, ge=0, lt=100)
     battery_pct_per_m: float = Field(default=0.0, ge=0)
+    vehicle_fence: bool = True
+    """Whether the vehicles get a fence of their own, round the whole field."""
+    vehicle_fence_beyond_m: float = Field(default=4.0, ge=0)
+    """How far outside the field it runs: a rover stops up to 3.5 m before its own fence, and stays there."""
 
 
 class ReceiverTable(BaseModel):
@@ -190,6 +194,30 @@ class Mission:
     safety: SafetySettings
     where: str
     """What to call it in messages: its path."""
+
+    @property
+    def fence_m(self) -> tuple[tuple[float, float], ...]:
+        """Corners of the ground robots may be on."""
+        field = self.file.field
+        return field.fence or _rectangle(field.size_east_m, field.size_north_m, 0.0)
+
+    @property
+    def vehicle_fence_m(self) -> tuple[tuple[float, float], ...]:
+        """Corners of the vehicles' own fence, their last line; empty where they get none."""
+        field, safety = self.file.field, self.file.safety
+        if not safety.vehicle_fence:
+            return ()
+        return _rectangle(field.size_east_m, field.size_north_m, safety.vehicle_fence_beyond_m)
+
+
+def _rectangle(east_m: float, north_m: float, beyond_m: float) -> tuple[tuple[float, float], ...]:
+    low = -beyond_m
+    return (
+        (low, low),
+        (east_m + beyond_m, low),
+        (east_m + beyond_m, north_m + beyond_m),
+        (low, north_m + beyond_m),
+    )
 
 
 def read_mission(path: Path) -> Mission:

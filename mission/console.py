@@ -8,6 +8,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from fieldkit.checks import Check, worst
 from fieldkit.clock import wall_s
 from mission.runner import Progress
 
@@ -165,6 +166,33 @@ def sources_table(sources: list[dict[str, Any]]) -> None:
             f"{s['p_within_one_cell']:.2f}", f"{s['receptions']:.1f}", f"{s['rate_hz']:.3f}", s["note"],
         )  # fmt: skip
     Console().print(table)
+
+
+_COLOURS = {"green": "green", "amber": "yellow", "red": "bold red"}
+
+
+def checks_table(checks: list[Check]) -> None:
+    """Robot by check; below it what is not green, with what to do."""
+    console = Console()
+    robots = list(dict.fromkeys(check.robot for check in checks))
+    names = list(dict.fromkeys(check.name for check in checks))
+    table = Table(title=f"before the start: {worst(checks)}", title_justify="left")
+    table.add_column("check")
+    for robot in robots:
+        table.add_column(robot)
+    for name in names:
+        cells = []
+        for robot in robots:
+            found = [check for check in checks if (check.robot, check.name) == (robot, name)]
+            level = worst(found)
+            cells.append(Text(level if found else "", style=_COLOURS[level]))
+        table.add_row(name, *cells)
+    console.print(table)
+    for check in sorted(checks, key=lambda check: check.level != "red"):
+        line = f"{check.robot}: {check.name}: {check.found}"
+        if check.level != "green":
+            line += f". {check.remedy}" if check.remedy else ""
+            console.print(Text(f"{check.level:5s}  ", style=_COLOURS[check.level]) + Text(line))
 
 
 def study_table(result: dict[str, Any]) -> None:

@@ -19,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-from fieldkit.errors import DeviceError, DeviceTimeout, FieldkitError
+from fieldkit.errors import DeviceError, DeviceTimeout, FieldkitError, VehicleRefused
 from fieldkit.messages import (
     CallOperator,
     Command,
@@ -38,6 +38,7 @@ from mission.config import Mission
 from mission.helm import RELEASE, TAKE_OVER, Helm
 from mission.journal import Follower, Journal
 from mission.kernel import Kernel, Outcome, state_digest
+from mission.preflight import judge_places, refused
 from mission.rigs import Rig
 from mission.safety import Safety
 
@@ -71,6 +72,8 @@ class Runner:
     on_progress: Callable[[Progress], None] = lambda _: None
     followers: tuple[Follower, ...] = ()
     """Told everything that is recorded, after it is recorded."""
+    override: str = ""
+    """Why the mission may start although a vehicle's check is red; typed by the operator."""
     kernel: Kernel = field(init=False)
     safety: Safety = field(init=False)
     end_reason: str = ""
@@ -307,8 +310,31 @@ class Runner:
                     "the address in the mission file, is its system id right, has it a position fix?"
                 )
             await self.rig.clock.sleep(0.2)
+        await self._inspect()
         self._steered = True
         await self.helm.take_over()
+
+    async def _inspect(self) -> None:
+        """Vehicles that would not stop by themselves, or are unfit otherwise, keep the mission from starting."""
+        asked = [
+            link.inspect(robot, self.mission.vehicle_fence_m) for robot, link in self.helm.link_of.items()
+        ]
+        checks = [check for found in await asyncio.gather(*asked) for check in found]
+        checks += judge_places(
+            self.mission,
+            {name: robot.pose for name, robot in self.kernel.robots.items() if robot.pose is not None},
+        )
+        for check in checks:
+            if check.level != "green":
+                self._note("warning", f"{check.robot}: {check.name} {check.level}: {check.found}")
+        if not (reasons := refused(checks)):
+            return
+        if not self.override:
+            raise VehicleRefused(
+                f"the vehicles are not fit to start, nothing has moved:\n{reasons}\n"
+                "Mend that, or give a reason to start all the same: --override 'why it is safe'"
+            )
+        self._note("warning", f"started in spite of red checks: {self.override}")
 
     async def _leave(self) -> None:
         """However it ends: everybody holds."""

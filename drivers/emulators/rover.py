@@ -33,6 +33,7 @@ _DEFAULT_HZ = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 4.0,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 0.0,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 0.0,
 }
 
 
@@ -363,6 +364,11 @@ class RoverAutopilot:
             h_acc=round(self.pose_noise_m * 1e3),
         )
 
+    def _ekf_status(self, _: float) -> Message:
+        """Without GPS the horizontal position is no longer absolute."""
+        flags = 0x0327 | (0 if self.trouble.gps_lost else mavlink.ESTIMATOR_POS_HORIZ_ABS)
+        return mavlink.MAVLink_ekf_status_report_message(flags, 0.05, 0.05, 0.05, 0.05, 0.0)
+
     def _system_time(self, t_s: float) -> Message:
         return mavlink.MAVLink_system_time_message(0, self._boot_ms(t_s))
 
@@ -379,6 +385,7 @@ _STREAMS: dict[int, Callable[[RoverAutopilot, float], Message]] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: RoverAutopilot._global_position,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: RoverAutopilot._system_time,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: RoverAutopilot._echo_target,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: RoverAutopilot._ekf_status,
 }
 
 

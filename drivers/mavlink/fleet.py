@@ -11,8 +11,10 @@ from types import TracebackType
 from typing import Any, Self
 
 from drivers.handover import Handover
+from drivers.mavlink import inspect, parameters, timesync
 from drivers.mavlink.codec import AUTOPILOT, GROUND_STATION, Message, Packer, Parser, mavlink
 from drivers.mavlink.commands import Commander
+from drivers.mavlink.modes import PX4
 from drivers.mavlink.orders import Orders
 from drivers.mavlink.plans import FENCE, KINDS, Inbox, PlanItem, PlanTalk, polygon_fence
 from drivers.mavlink.signing import Signer, read_key
@@ -20,8 +22,9 @@ from drivers.mavlink.steered import RATES_HZ, Steered, interval, refuse_double, 
 from drivers.mavlink.transport import Peer, make_transport
 from drivers.mavlink.vehicle import Vehicle
 from drivers.options import checked
+from fieldkit.checks import Check
 from fieldkit.clock import Clock
-from fieldkit.errors import ConfigError, DeviceTimeout
+from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
 from fieldkit.messages import Pose, VehicleState, Waypoint
 from fieldkit.ports import Surroundings
 
@@ -33,6 +36,8 @@ MAX_PEERS = 64
 """Addresses remembered per link; forged ones must not fill the memory."""
 HOUSEKEEPING_S = 0.5
 POSITION_STALE_S = 2.0
+SETTLE_S = 2.5
+"""How long a vehicle has to say everything that was asked for once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +142,7 @@ class MavlinkLink:
             steered = self._steered.get(message.get_srcSystem())
             if steered is None or message.get_srcComponent() != AUTOPILOT:
                 continue
+            steered.vehicle.count(peer, message.get_seq())
             if message.get_type() == "COMMAND_ACK":
                 self._commander.heard(message, message.get_srcSystem())
                 continue
@@ -190,8 +196,11 @@ class MavlinkLink:
         stale = now_s - vehicle.position_s > POSITION_STALE_S
         if vehicle.link_up and not vehicle.doubles and stale and now_s - steered.rates_asked_s > 3.0:
             steered.rates_asked_s = now_s
-            for number, rate_hz in RATES_HZ.items():
-                self._send(vehicle, interval(vehicle, number, rate_hz, 0))
+            self._ask_all_rates(vehicle)
+
+    def _ask_all_rates(self, vehicle: Vehicle) -> None:
+        for number, rate_hz in RATES_HZ.items():
+            self._send(vehicle, interval(vehicle, number, rate_hz, 0))
 
     def _watch_target(self, steered: Steered, now_s: float) -> None:
         """Send a way-point again if the vehicle says it is going elsewhere."""
@@ -251,20 +260,73 @@ class MavlinkLink:
         """Parameters as the vehicle has them; None where it does not answer: unknown, or a poor link."""
         steered = self._of(robot)
         vehicle = steered.vehicle
-        found: dict[str, float | None] = {}
         with self._inbox(steered, ("PARAM_VALUE",)) as inbox:
-            for name in names:
-                found[name] = None
-                ask = mavlink.MAVLink_param_request_read_message(
-                    vehicle.system_id, AUTOPILOT, name.encode(), -1
-                )
-                for _ in range(3):
-                    self._send(vehicle, ask)
-                    message = await inbox.next(1.0)
-                    if message is not None and message.param_id == name:
-                        found[name] = message.param_value
-                        break
-        return found
+            return await parameters.read(
+                lambda message: self._send(vehicle, message),
+                inbox,
+                self._clock,
+                vehicle.system_id,
+                vehicle.firmware,
+                names,
+            )
+
+    async def set_parameter(self, robot: str, name: str, value: float) -> bool:
+        """Set a parameter; whether the vehicle says that it has it."""
+        steered = self._of(robot)
+        vehicle = steered.vehicle
+        with self._inbox(steered, ("PARAM_VALUE",)) as inbox:
+            return await parameters.write(
+                lambda message: self._send(vehicle, message),
+                inbox,
+                self._clock,
+                vehicle.system_id,
+                name,
+                value,
+            )
+
+    async def synchronise(self, robot: str) -> timesync.ClockOffset | None:
+        """The vehicle's clock against ours, with its bound; None if it does not answer."""
+        steered = self._of(robot)
+        vehicle = steered.vehicle
+        with self._inbox(steered, ("TIMESYNC",)) as inbox:
+            return await timesync.exchange(
+                lambda message: self._send(vehicle, message), inbox, self._clock, self._own_id
+            )
+
+    async def inspect(self, robot: str, fence_m: Sequence[tuple[float, float]] = ()) -> list[Check]:
+        """Whether the vehicle is fit for a mission. With `fence_m` (east, north) that fence is uploaded first.
+
+        Nothing is armed and nothing moves. The only parameter written is FENCE_ENABLE, and only with a fence.
+        """
+        steered = self._of(robot)
+        vehicle = steered.vehicle
+        self.beat()
+        await self._orders.until_heard(vehicle)
+        checks = inspect.condition(vehicle, self._clock.elapsed_s())
+        if not vehicle.link_up or vehicle.doubles or vehicle.firmware is None:
+            return checks
+        self._ask_all_rates(vehicle)
+        values = await self.parameters(robot, inspect.NAMES[vehicle.firmware])
+        await self._clock.sleep(SETTLE_S)
+        checks = inspect.condition(vehicle, self._clock.elapsed_s())
+        checks += inspect.failsafes(robot, vehicle.firmware, values, self._own_id)
+        if fence_m:
+            checks.append(await self._put_fence(robot, fence_m))
+        checks.append(inspect.clock(robot, await self.synchronise(robot)))
+        return checks
+
+    async def _put_fence(self, robot: str, fence_m: Sequence[tuple[float, float]]) -> Check:
+        try:
+            await self.upload_fence(robot, fence_m)
+        except DeviceError as error:
+            return Check(robot, "fence", "red", str(error), "try again; is another ground station uploading?")
+        if self._of(robot).vehicle.firmware is PX4:
+            return Check(robot, "fence", "green", f"{len(fence_m)} corners, read back")
+        if not await self.set_parameter(robot, "FENCE_ENABLE", 1.0):
+            return Check(
+                robot, "fence", "amber", "uploaded, but FENCE_ENABLE stays off", "set FENCE_ENABLE 1"
+            )
+        return Check(robot, "fence", "green", f"{len(fence_m)} corners, read back and enabled")
 
     @contextlib.contextmanager
     def _talk(self, robot: str, kind: int) -> Iterator[PlanTalk]:

@@ -48,11 +48,15 @@ class Orders:
             if not waiter.done():
                 waiter.set_result(0)
 
+    async def until_heard(self, vehicle: Vehicle) -> bool:
+        """Wait for a vehicle's heartbeat; False if none comes."""
+        return await self._until(lambda: vehicle.link_up, FIND_S)
+
     async def take_over(self, steered: Steered, *, arm: bool = True) -> None:
         """Set message rates, GUIDED, armed; each confirmed by the vehicle's own heartbeat."""
         vehicle = steered.vehicle
         async with steered.lock:
-            if not await self._until(lambda: vehicle.link_up, FIND_S):
+            if not await self.until_heard(vehicle):
                 raise DeviceTimeout(
                     f"{vehicle.robot}: no heartbeat from system {vehicle.system_id} on {self._address}; is it "
                     "switched on, is its system id right, does it send to this address?"

@@ -46,6 +46,10 @@ class Vehicle:
         self.position_s = -math.inf
         self.battery_pct: float | None = None
         self.healthy_to_arm: bool | None = None
+        self.gps_fix: int | None = None
+        self.gps_eph: int | None = None
+        """HDOP times 100; None where it does not say."""
+        self.ekf_flags: int | None = None
         self.position_target: tuple[int, int] | None = None
         """Where it says it is going, degrees times 1e7."""
         self.position_target_s = -math.inf
@@ -58,6 +62,8 @@ class Vehicle:
         self.commanded: VehicleMode | None = None
         """The mode we asked for last."""
         self._confirmed = False
+        self._frames = self._lost = 0
+        self._seq: int | None = None
         self._frame = frame
         self._sigma_m = sigma_m
         self._gps_sigma_m: float | None = None
@@ -93,6 +99,8 @@ class Vehicle:
                 self.healthy_to_arm = bool(message.onboard_control_sensors_health & bit)
         elif kind == "GPS_RAW_INT":
             self._gps(message)
+        elif kind == "EKF_STATUS_REPORT":
+            self.ekf_flags = message.flags
         elif kind == "POSITION_TARGET_GLOBAL_INT":
             self.position_target, self.position_target_s = (message.lat_int, message.lon_int), now_s
         elif kind == "SYSTEM_TIME":
@@ -175,8 +183,25 @@ class Vehicle:
         sigma_m = self._sigma_m or self._gps_sigma_m or 0.0
         return [Pose(t_ns, self.robot, east_m, north_m, up_m, self._heading_deg % 360.0, sigma_m, "mavlink")]
 
+    def count(self, peer: Peer, seq: int) -> None:
+        """Note a frame's number: gaps are frames lost. Behind a router that drops some this is too dark."""
+        if peer != self.peer:
+            return
+        missing = 0 if self._seq is None else (seq - self._seq - 1) % 256
+        if missing < 128:  # more is a frame out of order, or a restart
+            self._lost += missing
+            self._seq = seq
+        self._frames += 1
+
+    @property
+    def loss(self) -> float:
+        """Share of its frames that did not arrive."""
+        return self._lost / max(1, self._lost + self._frames)
+
     def _gps(self, message: Message) -> None:
         """Without a fix the autopilot goes on sending dead-reckoned positions that look fresh."""
+        self.gps_fix = message.fix_type
+        self.gps_eph = None if message.eph == 65535 else message.eph
         self._gps_good = message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX
         self._gps_sigma_m = message.h_acc / 1000.0 if message.h_acc else None
 

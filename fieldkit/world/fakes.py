@@ -5,10 +5,11 @@ They pass the same conformance suite as the drivers, so that a mission cannot te
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from types import TracebackType
 from typing import Generic, Self, TypeVar
 
+from fieldkit.checks import Check
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError, VehicleRefused
 from fieldkit.messages import Pose, ReceiverState, RssReading, VehicleMode, VehicleState, Waypoint
@@ -119,6 +120,11 @@ class FakeFleet:
         self._check(robot)
         self._armed[robot] = self._armed[robot] or arm
         self._set(robot, "guided")
+
+    async def inspect(self, robot: str, fence_m: Sequence[tuple[float, float]] = ()) -> list[Check]:
+        """Nothing is ever wrong with it."""
+        self._check(robot)
+        return [Check(robot, "failsafe", "green", "stops when the program does")]
 
     def release(self, robot: str) -> None:
         """Not ours any more."""

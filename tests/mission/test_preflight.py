@@ -1,0 +1,130 @@
+"""Before the start: what is wrong is red or amber with a remedy, and keeps the mission from moving anything."""
+
+import asyncio
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fieldkit.checks import Check, worst
+from fieldkit.clock import ScaledClock
+from fieldkit.errors import DeviceError, VehicleRefused
+from fieldkit.messages import GoTo, Pose
+from fieldkit.recording.reader import open_recording
+from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.fakes import FakeFleet, FakeReceiver
+from fieldkit.world.rover import Rover
+from fieldkit.world.sources import TransientSource
+from mission import rigs
+from mission.preflight import judge_calibration, judge_places, preflight
+from mission.rigs import Rig, start_places
+from mission.runner import Runner
+from mission.synthetic import small_mission
+
+
+class Careless(FakeFleet):
+    """Vehicles that would drive on."""
+
+    async def inspect(self, robot, fence_m=()):  # type: ignore[no-untyped-def]
+        return [Check(robot, "failsafe", "red", "FS_GCS_ENABLE is 0: drives on", "set FS_GCS_ENABLE 1")]
+
+
+def rig_of(mission, fleet=FakeFleet) -> Rig:  # type: ignore[no-untyped-def]
+    clock = ScaledClock(20.0)
+    rovers = {name: Rover(*place) for name, place in start_places(mission).items()}
+    return Rig(clock, (), (fleet(rovers, clock),))
+
+
+def run(folder: Path, fleet, override: str = "") -> FakeFleet:  # type: ignore[no-untyped-def]
+    mission = small_mission(folder, duration_s=5.0)
+    rig = rig_of(mission, fleet)
+    with RecordingWriter(folder / "mission.mcap", mission_toml=mission.text) as recorder:
+        asyncio.run(Runner(mission, rig, recorder, override=override).run())
+    return rig.links[0]  # type: ignore[return-value]
+
+
+def test_vehicles_without_failsafes_do_not_start(tmp_path: Path) -> None:
+    with pytest.raises(VehicleRefused, match=r"FS_GCS_ENABLE is 0.*\n.*--override"):
+        run(tmp_path, Careless)
+    recording = open_recording(tmp_path / "mission.mcap")
+    assert not list(recording.commands())
+
+
+def test_a_typed_reason_overrides_and_is_recorded(tmp_path: Path) -> None:
+    fleet = run(tmp_path, Careless, override="tethered on the bench")
+    assert set(fleet._mode.values()) == {"hold"}
+    notes = [note.text for _, note in open_recording(tmp_path / "mission.mcap").notes()]
+    assert "started in spite of red checks: tethered on the bench" in notes
+    assert any("FS_GCS_ENABLE is 0" in note for note in notes)
+
+
+def test_a_mission_file_of_another_field_does_not_start(tmp_path: Path) -> None:
+    class Elsewhere(FakeFleet):
+        def __init__(self, rovers, clock) -> None:  # type: ignore[no-untyped-def]
+            super().__init__({name: Rover(5000.0, 0.0) for name in rovers}, clock)
+
+    with pytest.raises(VehicleRefused, match="another field"):
+        run(tmp_path, Elsewhere)
+    assert not [c for *_, c in open_recording(tmp_path / "mission.mcap").commands() if isinstance(c, GoTo)]
+
+
+def test_places_are_judged(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path)
+    poses = {"r1": Pose(0, "r1", 5.0, 4.0), "r2": Pose(0, "r2", 5.1, 4.0), "r3": Pose(0, "r3", -3.0, 5.0)}
+    checks = {check.robot: check for check in judge_places(mission, poses)}
+    assert {robot: check.level for robot, check in checks.items()} == {
+        "r1": "amber",
+        "r2": "amber",
+        "r3": "amber",
+        "r4": "red",
+    }
+    assert "3.0 m outside" in checks["r3"].found and "from r2" in checks["r1"].found
+
+
+def test_an_old_or_doubtful_calibration_is_amber(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path)
+    now_ns = ScaledClock(1.0).now_ns()
+    assert worst(judge_calibration(mission, now_ns)) == "green"
+    assert worst(judge_calibration(mission, now_ns + 100 * 86_400 * 10**9)) == "amber"
+    doubtful = replace(mission, antenna=replace(mission.antenna, verdict="accepted with warnings"))
+    assert worst(judge_calibration(doubtful, now_ns)) == "amber"
+
+
+def test_a_missing_radio_is_red_and_the_rest_is_checked_all_the_same(tmp_path: Path) -> None:
+    class Missing(FakeReceiver):
+        async def __aenter__(self):  # type: ignore[no-untyped-def]
+            raise DeviceError("XBee of r1: /dev/ttyUSB0: no such port")
+
+    mission = small_mission(tmp_path)
+    rig = rig_of(mission)
+    rig = replace(rig, receivers=(Missing("r1", rig.clock), FakeReceiver("r2", rig.clock)))
+    checks = asyncio.run(preflight(mission, rig, tmp_path, 5.0))
+    found = {(check.robot, check.name): check for check in checks}
+    assert found["r1", "radio"].level == "red" and "ttyUSB0" in found["r1", "radio"].found
+    assert found["r2", "radio"].level == "amber" and "transmitter" in found["r2", "radio"].remedy
+    assert found["r4", "failsafe"].level == "green"
+    assert found["mission", "disk"].level in ("green", "amber", "red")
+
+
+def test_an_emulated_field_passes_on_its_wires(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path)
+    sources = (TransientSource(3.0, 2.0, 0.0, 1.0), TransientSource(7.0, 2.0, 0.0, 1.0))
+    with rigs.emulated(mission, sources, seed=1, rate=5.0) as rig:
+        checks = asyncio.run(preflight(mission, rig, tmp_path, 15.0))
+    red = [check for check in checks if check.level == "red" and check.name != "disk"]
+    assert not red
+    names = {check.name for check in checks}
+    assert names >= {
+        "radio",
+        "failsafe",
+        "fence",
+        "clock",
+        "position",
+        "EKF",
+        "battery",
+        "link",
+        "place",
+        "CPU",
+    }
+    heard = [check for check in checks if check.name == "radio" and check.level == "green"]
+    assert heard and "dBm" in heard[0].found
