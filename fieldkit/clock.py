@@ -106,3 +106,8 @@ def utc_stamp() -> str:
 def wall_sleep(duration_s: float) -> None:
     """Block the calling thread; for shells around hardware and child processes, never in an event loop."""
     time.sleep(max(0.0, duration_s))
+
+
+def cpu_s() -> float:
+    """CPU seconds of this process so far, for measuring what something costs."""
+    return time.process_time()

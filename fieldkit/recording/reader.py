@@ -3,18 +3,20 @@
 import json
 import logging
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from mcap.reader import make_reader
+from mcap.records import Channel, Message
 
 from fieldkit.errors import RecordingError
 from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate
 from fieldkit.recording import codec
 from fieldkit.recording.records import NO_INDEX, Contents, is_whole, walk
 from fieldkit.recording.schema import BY_NAME, HEADER, SCHEMA, BeliefDigest, Note, Topic
+from fieldkit.recording.writer import part_path
 
 logger = logging.getLogger(__name__)
 
@@ -71,6 +73,8 @@ class Recording:
     """Time between the neighbours of lost events; what a cut took off the end is not in it (under 1 s)."""
     counts: Counter[str] = field(default_factory=Counter)
     """Messages per topic; filled for a damaged file or by `summary`."""
+    parts: list[Path] = field(default_factory=list)
+    """The files of a recording that was rotated, in order; of any other the one file."""
 
     @property
     def missing(self) -> str:
@@ -88,7 +92,7 @@ class Recording:
             for name, topic in BY_NAME.items()
             if topic is not HEADER and (not kinds or topic.family in kinds)
         }
-        for channel, message in walk(self.path, Contents(), wanted):
+        for channel, message in _walk_all(self.parts, wanted):
             topic = wanted[channel.topic]
             value, origin = self._decode(topic, message.data, message.sequence)
             yield Item(topic.family, message.sequence, message.log_time, value, origin)
@@ -154,7 +158,7 @@ class Recording:
 
         from fieldkit.recording.viewer import grid_values
 
-        for _, message in walk(self.path, Contents(), {f"/view/belief/{name}"}):
+        for _, message in _walk_all(self.parts, {f"/view/belief/{name}"}):
             values, cell_m, origin_m, called = grid_values(Grid.FromString(message.data))
             yield BeliefGrid(message.log_time, called, values, cell_m, origin_m)
 
@@ -163,10 +167,14 @@ class Recording:
 
         A complete file's own index answers at once; a damaged one is walked.
         """
-        self.counts, first, last = _indexed(self.path) if self.complete else _counted(self.path)
+        looks = [(_indexed if self.complete else _counted)(part) for part in self.parts]
+        self.counts = sum((counts for counts, _, _ in looks), Counter())
+        first = min((first for _, first, _ in looks if first is not None), default=None)
+        last = max((last for _, _, last in looks if last is not None), default=None)
         return {
             "recording": str(self.path),
-            "bytes": self.path.stat().st_size,
+            "bytes": sum(part.stat().st_size for part in self.parts),
+            "parts": [str(part) for part in self.parts],
             "complete": self.complete,
             "missing": self.missing,
             "seconds_missing": round(self.seconds_missing, 3),
@@ -202,8 +210,11 @@ def open_recording(path: Path | str) -> Recording:
     path = Path(path)
     if not path.is_file():
         raise RecordingError(f"{path}: no such recording; name the mission.mcap in a folder under runs/")
-    whole = is_whole(path)
     header = _header(path)
+    parts, unread = _parts(path, header)
+    if header.get("part", 1) != 1:
+        unread = [f"is part {header['part']} of a recording: what came before is not in it", *unread]
+    whole = not unread and all(map(is_whole, parts))
     recording = Recording(
         path=path,
         complete=whole,
@@ -212,11 +223,49 @@ def open_recording(path: Path | str) -> Recording:
         metadata=header.get("metadata", {}),
         mission_toml=header.get("mission_toml", ""),
         antenna_toml=header.get("antenna_toml", ""),
+        parts=parts,
     )
     if not whole:
         _examine(recording)
+        recording.problems = [*unread, *recording.problems]
         logger.warning("%s: not complete: %s", path, recording.missing)
     return recording
+
+
+def _parts(path: Path, header: dict[str, Any]) -> tuple[list[Path], list[str]]:
+    """The file and those the same recording went on in; what is wrong with those that should be there."""
+    parts, number = [path], int(header.get("part", 1))
+    first = path if number == 1 else path.with_name(path.name.replace(f".{number}{path.suffix}", path.suffix))
+    later = [n for n in _part_numbers(first) if n > number]
+    if not header.get("recording"):
+        return parts, []
+    for following in (part_path(first, n) for n in range(number + 1, max(later, default=0) + 1)):
+        try:
+            if _header(following).get("recording") != header["recording"]:
+                return parts, [
+                    f"{following.name} is of another recording; what came there and after is missing"
+                ]
+        except (RecordingError, FileNotFoundError) as error:
+            return parts, [f"{following.name} cannot be read ({error}); what came there and after is missing"]
+        parts.append(following)
+    return parts, []
+
+
+def _part_numbers(first: Path) -> list[int]:
+    """Numbers of the files that look like later parts."""
+    start, end = f"{first.stem}.", first.suffix
+    names = [
+        path.name
+        for path in first.parent.iterdir()
+        if path.name.startswith(start) and path.name.endswith(end)
+    ]
+    numbers = (name[len(start) : -len(end)] for name in names)
+    return sorted(int(number) for number in numbers if number.isdecimal())
+
+
+def _walk_all(parts: list[Path], topics: Container[str] | None = None) -> Iterator[tuple[Channel, Message]]:
+    for part in parts:
+        yield from walk(part, Contents(), topics)
 
 
 def _header(path: Path) -> dict[str, Any]:
@@ -271,10 +320,10 @@ def _counted(path: Path) -> tuple[Counter[str], int | None, int | None]:
 
 def _examine(recording: Recording) -> None:
     """Find out what a damaged file lacks: broken chunks, and gaps in the inbox numbers."""
-    contents = Contents()
     gaps: list[str] = []
     number, at_ns, last_ns = None, 0, 0
-    for channel, message in walk(recording.path, contents):
+    read = [(part, Contents()) for part in recording.parts]
+    for channel, message in (pair for part, contents in read for pair in walk(part, contents)):
         topic = BY_NAME.get(channel.topic)
         recording.counts[channel.topic] += 1
         last_ns = max(last_ns, message.log_time)
@@ -285,6 +334,8 @@ def _examine(recording: Recording) -> None:
             recording.seconds_missing += max(0.0, lost_s)
             gaps.append(f"events {number + 1} to {message.sequence - 1} are missing ({lost_s:.2f} s)")
         number, at_ns = message.sequence, message.log_time
-    recording.problems = [*contents.problems, *gaps]
-    if not recording.problems:
+    named = len(read) > 1
+    problems = [f"{p.name}: {text}" if named else text for p, contents in read for text in contents.problems]
+    recording.problems = [*problems, *gaps]
+    if not recording.problems and not all(map(is_whole, recording.parts)):
         recording.problems.append(NO_INDEX)

@@ -32,6 +32,10 @@ _COLOURS = {
 }
 
 
+PLACE_STEP_M, TURN_STEP, ANGLE_STEP_DEG = 2.0**-10, 2.0**-14, 2.0**-26
+"""What viewers are shown is rounded to about a millimetre, in powers of two: the zeros at the end compress well."""
+
+
 def stamp(t_ns: int) -> Timestamp:
     """Nanoseconds as protobuf's time stamp."""
     return Timestamp(seconds=t_ns // 1_000_000_000, nanos=t_ns % 1_000_000_000)
@@ -47,9 +51,9 @@ def pose_in_frame(pose: Pose) -> PoseInFrame:
 def transform(pose: Pose) -> FrameTransform:
     """The robot's own frame (x ahead) under `field`, so that viewers can follow it."""
     message = FrameTransform(timestamp=stamp(pose.t_ns), parent_frame_id=FRAME, child_frame_id=pose.robot)
-    message.translation.x, message.translation.y, message.translation.z = pose.east_m, pose.north_m, pose.up_m
-    half = math.radians(90.0 - pose.heading_deg) / 2.0
-    message.rotation.z, message.rotation.w = math.sin(half), math.cos(half)
+    place = message.translation
+    place.x, place.y, place.z = (_rounded(m, PLACE_STEP_M) for m in (pose.east_m, pose.north_m, pose.up_m))
+    message.rotation.z, message.rotation.w = _turn(pose.heading_deg)
     return message
 
 
@@ -60,9 +64,9 @@ def location_fix(pose: Pose, frame: FieldFrame) -> LocationFix:
     return LocationFix(
         timestamp=stamp(pose.t_ns),
         frame_id=pose.robot,
-        latitude=latitude,
-        longitude=longitude,
-        altitude=altitude,
+        latitude=_rounded(latitude, ANGLE_STEP_DEG),
+        longitude=_rounded(longitude, ANGLE_STEP_DEG),
+        altitude=_rounded(altitude, PLACE_STEP_M),
         position_covariance=[variance, 0, 0, 0, variance, 0, 0, 0, variance],
         position_covariance_type=LocationFix.DIAGONAL_KNOWN if variance else LocationFix.UNKNOWN,
     )
@@ -81,6 +85,7 @@ def grid(t_ns: int, values: FloatArray, cell_m: float, origin_m: tuple[float, fl
         data=rows.tobytes(),
     )
     _place(message.pose, *origin_m, 0.0, 90.0)
+    message.pose.position.x, message.pose.position.y = origin_m
     message.cell_size.x = message.cell_size.y = cell_m
     return message
 
@@ -131,6 +136,17 @@ def _ellipse(cov_m2: FloatArray) -> tuple[float, float, float]:
 
 
 def _place(pose: Any, east_m: float, north_m: float, up_m: float, heading_deg: float) -> None:
-    pose.position.x, pose.position.y, pose.position.z = east_m, north_m, up_m
+    place = pose.position
+    place.x, place.y, place.z = (_rounded(m, PLACE_STEP_M) for m in (east_m, north_m, up_m))
+    pose.orientation.z, pose.orientation.w = _turn(heading_deg)
+
+
+def _turn(heading_deg: float) -> tuple[float, float]:
+    """A compass heading as z and w of a quaternion."""
     half = math.radians(90.0 - heading_deg) / 2.0
-    pose.orientation.z, pose.orientation.w = math.sin(half), math.cos(half)
+    return _rounded(math.sin(half), TURN_STEP), _rounded(math.cos(half), TURN_STEP)
+
+
+def _rounded(value: float, step: float) -> float:
+    """The nearest multiple of `step`; nan and infinities as they are."""
+    return round(value / step) * step if math.isfinite(value) else value

@@ -1,12 +1,14 @@
 """Writing a mission's recording: chunks of 64 KiB, closed by a timer: a killed mission loses under 1 s.
 
-The caller gives the time (`log_time_ns`, the moment at the inbox); nothing here reads a clock. A disk that
-fails stops the recording and says so in `failure`; it never stops the mission.
+The caller gives the time (`log_time_ns`, the moment at the inbox); nothing here reads a clock. A clock that steps is
+noted in the recording and stalls nothing. A disk that fails stops the recording and says so in `failure`; it never
+stops the mission. A long recording goes on in numbered parts (`mission.2.mcap`), each whole in itself.
 """
 
 import contextlib
 import logging
 import os
+import secrets
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -42,11 +44,23 @@ CHUNK_NS = 500_000_000
 """A chunk is closed this long after its first message: with a tick every 0.2 s, under 1 s can be lost."""
 SYNC_NS = 5_000_000_000
 """Time between calls of fsync, which is what survives a power cut."""
+EARLY_BYTES = 2_000_000_000
+"""With less space than this the operator is warned, while there is time to make some."""
 LOW_BYTES = 500_000_000
 """With less space than this raw bytes, the largest part, are no longer recorded."""
 VIEW_NS = 200_000_000
 """Robots are shown at most this often; the exact poses are all in `/in/pose`."""
+FIX_NS = 1_000_000_000
+"""And on the map of the Earth at most this often."""
+STEP_BACK_NS = 1_000_000_000
+STEP_AHEAD_NS = 10_000_000_000
+"""Longer than a mission is ever without a tick: the clock has been set."""
 _UINT64 = 2**64 - 1
+
+
+def part_path(path: Path, part: int) -> Path:
+    """The file of one part of the recording that begins in `path`: mission.mcap, mission.2.mcap, ..."""
+    return path if part == 1 else path.with_name(f"{path.stem}.{part}{path.suffix}")
 
 
 def close_chunk(writer: Writer) -> None:
@@ -58,7 +72,7 @@ def close_chunk(writer: Writer) -> None:
 
 
 class RecordingWriter:
-    """One open recording. Times never decrease; use as a context manager or call `close`."""
+    """One open recording. Use as a context manager or call `close`."""
 
     def __init__(
         self,
@@ -69,40 +83,59 @@ class RecordingWriter:
         metadata: Mapping[str, Any] | None = None,
         frame: FieldFrame | None = None,
         start_ns: int = 0,
+        rotate_bytes: int | None = None,
     ) -> None:
         """Start the file at `path`, which must not exist. `metadata`: what JSON can carry, seeds included.
 
-        `frame` adds latitude and longitude for map viewers.
+        `frame` adds latitude and longitude for map viewers. A file that has grown to `rotate_bytes` is finished,
+        and the recording goes on in the next part.
         """
         self.path = path
         self.failure = ""
         """Why recording stopped; empty while it runs."""
         self._frame = frame
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._stream = path.open("xb")
-        except FileExistsError:
-            raise RecordingError(f"{path}: there is a recording already; it is never overwritten") from None
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
-        self._mcap = Writer(
-            self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
-        )
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
+        self._rotate_bytes = rotate_bytes
+        self._part = 0
         self._shown_ns: dict[str, int] = {}
         self._chunk_ns: int | None = None
         self._now_ns = self._sync_ns = start_ns
+        self._events = False
         self._closed = False
+        self._warned_of_space = False
         self._short_of_space = False
-        header = {
+        self._header = {
             "schema": SCHEMA,
             "fieldkit": __version__,
             "metadata": dict(metadata or {}),
             "mission_toml": mission_toml,
             "antenna_toml": antenna_toml,
+            "recording": secrets.token_hex(8),
         }
-        self._guard(lambda: self._begin(header))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._open_part(1)
+        except FileExistsError:
+            raise RecordingError(f"{path}: there is a recording already; it is never overwritten") from None
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+        self._guard(lambda: self._begin(self._header | {"part": 1}))
+
+    def _open_part(self, part: int) -> None:
+        self._stream = part_path(self.path, part).open("xb")
+        self._mcap = Writer(
+            self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
+        )
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._chunk_ns = None
+        self._part = part
+
+    def _rotate(self) -> None:
+        """Finish this part, and go on in the next."""
+        self._finish()
+        self._stream.close()
+        self._open_part(self._part + 1)
+        self._begin(self._header | {"part": self._part})
 
     def _begin(self, header: dict[str, Any]) -> None:
         """Everything needed to understand the rest goes first, and to disk at once."""
@@ -125,8 +158,12 @@ class RecordingWriter:
 
     def event(self, inbox_number: int, log_time_ns: int, event: Event) -> None:
         """One event, as it left the inbox. `inbox_number` counts up by one: a gap is reported as loss."""
+        self._mind_the_clock(log_time_ns)
         self._write(BY_KIND[type(event)].name, codec.encode(event), inbox_number, log_time_ns, event.t_ns)
-        if isinstance(event, Pose) and log_time_ns - self._shown_ns.get(event.robot, -VIEW_NS) >= VIEW_NS:
+        if (
+            isinstance(event, Pose)
+            and abs(log_time_ns - self._shown_ns.get(event.robot, -VIEW_NS)) >= VIEW_NS
+        ):
             self._shown_ns[event.robot] = log_time_ns
             self._show(event, log_time_ns)
 
@@ -232,11 +269,23 @@ class RecordingWriter:
     ) -> None:
         self.close()
 
+    def _mind_the_clock(self, log_ns: int) -> None:
+        """Note a clock that was set, and measure from its new time: chunks must be closed all the same."""
+        step_ns = log_ns - self._now_ns
+        if self._events and (step_ns < -STEP_BACK_NS or step_ns > STEP_AHEAD_NS):
+            self._guard(self._sync)
+            self._now_ns = self._sync_ns = log_ns
+            way = "ahead" if step_ns > 0 else "back"
+            logger.warning("%s: the clock stepped %s by %.1f s", self.path, way, abs(step_ns) * 1e-9)
+            self.note("warning", f"the clock stepped {way} by {abs(step_ns) * 1e-9:.1f} s", log_ns)
+        self._events = True
+
     def _show(self, pose: Pose, log_time_ns: int) -> None:
         self._view(f"/view/pose/{pose.robot}", viewer.pose_in_frame, pose, log_time_ns=log_time_ns)
         self._view("/tf", viewer.transform, pose, log_time_ns=log_time_ns)
-        if self._frame is not None:
-            topic = f"/view/fix/{pose.robot}"
+        topic = f"/view/fix/{pose.robot}"
+        if self._frame is not None and abs(log_time_ns - self._shown_ns.get(topic, -FIX_NS)) >= FIX_NS:
+            self._shown_ns[topic] = log_time_ns
             self._view(topic, viewer.location_fix, pose, self._frame, log_time_ns=log_time_ns)
 
     def _write(self, topic: str, data: bytes, sequence: int, log_ns: int, publish_ns: int) -> None:
@@ -266,6 +315,8 @@ class RecordingWriter:
     def _keep_time(self) -> None:
         if self._now_ns - self._sync_ns >= SYNC_NS:
             self._sync()
+            if self._rotate_bytes is not None and self._stream.tell() >= self._rotate_bytes:
+                self._rotate()
         elif self._chunk_ns is not None and self._now_ns - self._chunk_ns >= CHUNK_NS:
             close_chunk(self._mcap)
             self._chunk_ns = None
@@ -273,15 +324,25 @@ class RecordingWriter:
     def _sync(self) -> None:
         close_chunk(self._mcap)
         os.fsync(self._stream.fileno())
+        self._chunk_ns, self._sync_ns = None, self._now_ns
+        self._look_at_space()
+
+    def _look_at_space(self) -> None:
+        """Warn once early, and once when raw bytes are no longer recorded; the recording says so too."""
         free = shutil.disk_usage(self.path.parent).free
         if free < LOW_BYTES and not self._short_of_space:
-            self._short_of_space = True
-            logger.warning(
-                "%s: only %d MB are free: raw bytes are no longer recorded, everything else is",
-                self.path,
-                free // 1_000_000,
+            self._short_of_space = self._warned_of_space = True
+            self._warn_of_space(free, "raw bytes are no longer recorded, everything else is")
+        elif free < EARLY_BYTES and not self._warned_of_space:
+            self._warned_of_space = True
+            self._warn_of_space(
+                free, f"below {LOW_BYTES // 1_000_000} MB raw bytes will no longer be recorded"
             )
-        self._chunk_ns, self._sync_ns = None, self._now_ns
+
+    def _warn_of_space(self, free: int, text: str) -> None:
+        said = f"only {free // 1_000_000} MB are free: {text}"
+        logger.warning("%s: %s", self.path, said)
+        self._add(BY_KIND[Note].name, codec.encode(Note("warning", said)), 0, self._now_ns, self._now_ns)
 
     def _finish(self) -> None:
         self._mcap.finish()
