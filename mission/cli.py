@@ -69,6 +69,7 @@ def run(
     from mission.config import read_mission
     from mission.console import Watch, sources_table
     from mission.demo import fly
+    from mission.replaying import plain_source
     from mission.warm import warm_up
 
     mission = read_mission(mission_file)
@@ -81,7 +82,7 @@ def run(
     with Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
         runner = fly(mission, rig, folder / "mission.mcap", watch.show)
     write_report(folder / "mission.mcap", folder / "report.html")
-    finds = [_source(source) for source in runner.kernel.sources()]
+    finds = [plain_source(source) for source in runner.kernel.sources()]
     if as_json:
         _print_json(
             runner.result()
@@ -130,61 +131,75 @@ def preflight(
 
 
 def replay(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="A recording (mission.mcap).")],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recordings (mission.mcap).")],
     antenna: Annotated[Path | None, typer.Option(help="What if: another antenna file.")] = None,
     belief: Annotated[str | None, typer.Option(help="What if: another belief.")] = None,
     planner: Annotated[str | None, typer.Option(help="What if: another planner.")] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="TABLE.KEY=VALUE", help="What if: another value in the mission file; repeat."
+        ),
+    ] = None,
     whatif: Annotated[
         bool, typer.Option("--what-if", help="Compare nothing; just show what comes out.")
     ] = False,
-    until: Annotated[float | None, typer.Option(help="Stop after this many seconds of the mission.")] = None,
+    until: Annotated[
+        float | None, typer.Option(min=0.0, help="Stop after this many seconds of the mission.")
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(min=0.01, help="Watch it at this many times real time; default: as fast as it goes."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Re-run the engine on a recording: the same belief and commands, or the first event that differs.
+    """Re-run the engine on recordings: the same belief and commands, or the first event that differs.
 
-    Exit code 1 if anything differs. --belief, --planner and --antenna with --what-if feed the recorded inbox to another
-    engine instead; robots stay on their recorded paths.
+    Exit code 1 if anything differs. --belief, --planner, --set, and --antenna with --what-if feed the recorded inbox to
+    another engine instead; robots stay on their recorded paths, and the planner's decisions are compared with the
+    mission's. With several recordings each is replayed, and the JSON is a list.
 
     Example: fieldkit replay runs/20260102T030405Z/mission.mcap
-    """
-    from fieldkit.antenna.file import read_antenna
-    from fieldkit.recording.reader import open_recording
-    from mission.console import sources_table
-    from mission.replay import recorded_mission, same_antenna, what_if
-    from mission.replay import replay as replay_log
 
-    recording = open_recording(log)
-    given = read_antenna(antenna) if antenna is not None else None
-    mission = recorded_mission(recording, given, antenna.read_text(encoding="utf-8") if antenna else "")
-    changed = whatif or belief is not None or planner is not None
-    if antenna is not None and not changed:
-        same_antenna(recording, mission, antenna)
-    if changed:
-        mission = what_if(mission, belief=belief, planner=planner)
-    done = replay_log(log, mission=mission, check=not changed, until_s=until)
-    plain: dict[str, Any] = {
-        "recording": str(log),
-        "events": done.events,
-        "duration_s": round(done.duration_s, 3),
-        "identical": None if changed else True,
-        "complete": done.complete,
-        "missing": done.missing,
-        "belief_hash": done.kernel.digest(),
-        "commands_hash": done.kernel.commands_digest(),
-        "sources": [_source(source) for source in done.kernel.sources()],
-        "times_real_time": round(done.duration_s / max(done.wall_s, 1e-9), 1),
-    }
+    Example: fieldkit replay mission.mcap --set engine.found_probability=0.95
+    """
+    from fieldkit.errors import FieldkitError
+    from mission.console import sources_table
+    from mission.pace import Pace, line
+    from mission.replaying import Changes, replay_one
+
+    changed = Changes(antenna, belief, planner, tuple(changes or ()), whatif)
+    results: list[dict[str, Any]] = []
+    worst = 0
+    for log in logs:
+        pace = None if speed is None else Pace(speed, lambda now: _say(line(now)))
+        try:
+            plain = replay_one(log, changed, until_s=until, on_step=pace)
+        except FieldkitError as error:
+            if len(logs) == 1:
+                raise
+            # Exit code 1, "it differs", says more than 2, "it could not be read".
+            worst = error.exit_code if worst != 1 else 1
+            plain = {"recording": str(log), "identical": False, "error": str(error)}
+        results.append(plain)
+        if as_json:
+            continue
+        if "error" in plain:
+            typer.echo(f"{log}: {plain['error']}")
+            continue
+        if plain["missing"]:
+            _say(f"note: {log} is not whole: {plain['missing']}")
+        typer.echo(
+            f"{log}: {plain['events']} events, {plain['duration_s']:.0f} s of mission, {plain['times_real_time']:.0f} "
+            f"times real time: {plain['verdict']}\n"
+            f"belief {plain['belief_hash'][:16]}  commands {plain['commands_hash'][:16]}"
+        )
+        if len(logs) == 1:
+            sources_table(plain["sources"])
     if as_json:
-        _print_json(plain)
-        return
-    if done.missing:
-        _say(f"note: the recording is not whole: {done.missing}")
-    verdict = "a what-if: nothing was compared" if changed else "the same belief and commands as recorded"
-    typer.echo(
-        f"{done.events} events, {done.duration_s:.0f} s of mission in {done.wall_s:.1f} s: {verdict}\n"
-        f"belief {plain['belief_hash'][:16]}  commands {plain['commands_hash'][:16]}"
-    )
-    sources_table(plain["sources"])
+        _print_json(results[0] if len(logs) == 1 else results)
+    if worst:
+        raise typer.Exit(worst)
 
 
 def report(
@@ -315,21 +330,6 @@ def study(
     from mission.console import study_table
 
     study_table(result)
-
-
-def _source(source: Any) -> dict[str, Any]:
-    """A source estimate as plain numbers."""
-    return {
-        "ident": source.ident,
-        "state": source.state,
-        "east_m": round(source.east_m, 3),
-        "north_m": round(source.north_m, 3),
-        "sigma_m": round(float((source.cov_m2[0, 0] + source.cov_m2[1, 1]) / 2) ** 0.5, 3),
-        "p_within_one_cell": round(source.p_here, 4),
-        "receptions": round(source.receptions, 2),
-        "rate_hz": round(source.rate_hz, 4),
-        "note": source.note,
-    }
 
 
 def _run_folder(out: Path) -> Path:

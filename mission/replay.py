@@ -1,19 +1,25 @@
 """A recorded mission through the same kernel and safety again: the same belief and commands, bit for bit, or the
 first event where they differ."""
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
 from fieldkit.antenna.file import AntennaFile, parse_antenna
 from fieldkit.clock import wall_s
-from fieldkit.errors import DataError, RecordingError, ReplayMismatch
+from fieldkit.errors import ConfigError, DataError, RecordingError, ReplayMismatch
 from fieldkit.messages import Command, Event
 from fieldkit.recording.reader import Recording, Step, open_recording
 from mission.config import Mission, assemble, parse_mission
 from mission.kernel import Kernel, Outcome, state_digest
 from mission.safety import Safety
+
+WHAT_IF = ("engine", "sources", "association", "end", "safety")
+"""Tables of the mission file that a what-if may change: the field, robots and antenna file are what was there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,9 +175,44 @@ def _say(commands: list[tuple[str, Command]]) -> str:
     return "; ".join(f"{origin}: {command}" for origin, command in commands) or "none"
 
 
-def what_if(mission: Mission, *, belief: str | None = None, planner: str | None = None) -> Mission:
-    """The mission with another belief or planner."""
-    kernel = mission.kernel
-    return replace(
-        mission, kernel=replace(kernel, belief=belief or kernel.belief, planner=planner or kernel.planner)
-    )
+def what_if(
+    mission: Mission, *, belief: str | None = None, planner: str | None = None, changes: Sequence[str] = ()
+) -> Mission:
+    """The mission with another belief or planner, or with keys of its file set anew, such as `engine.min_receptions=3`.
+
+    Raises `ConfigError` for a key or value the mission file does not know.
+    """
+    changes = [*changes, *_named("engine.belief", belief), *_named("engine.planner", planner)]
+    if not changes:
+        return mission
+    text = changed(mission.text, changes)
+    file = parse_mission(text, f"{mission.where} with {', '.join(changes)}")
+    return assemble(file, text, mission.antenna, mission.antenna_text, mission.where)
+
+
+def _named(key: str, name: str | None) -> list[str]:
+    return [] if name is None else [f'{key}="{name}"']
+
+
+def changed(text: str, changes: Sequence[str]) -> str:
+    """A mission file with `table.key=value` set anew; a value is TOML, or a bare word. Raises `ConfigError`."""
+    document = tomlkit.parse(text)
+    for change in changes:
+        path, equals, value = change.partition("=")
+        *tables, key = path.strip().split(".")
+        if not equals or not tables or not key:
+            raise ConfigError(
+                f"--set: expected TABLE.KEY=VALUE such as engine.min_receptions=3, got '{change}'"
+            )
+        if tables[0] not in WHAT_IF:
+            raise ConfigError(f"--set {change}: only {', '.join(WHAT_IF)} can be changed after the fact")
+        table: Any = document
+        for name in tables:
+            table = table.setdefault(name, tomlkit.table()) if hasattr(table, "setdefault") else None
+            if not hasattr(table, "setdefault"):
+                raise ConfigError(f"--set {change}: '{name}' is not a table of the mission file")
+        try:
+            table[key] = tomlkit.value(value.strip())
+        except (TOMLKitError, ValueError):
+            table[key] = value.strip()
+    return tomlkit.dumps(document)
