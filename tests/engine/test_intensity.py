@@ -74,6 +74,31 @@ def test_two_sources_two_cells_apart_stay_two() -> None:
     assert sorted(s.east_m for s in found) == pytest.approx([3.0, 3.45], abs=0.25)
 
 
+def test_two_sources_that_cannot_be_told_apart_yet_are_kept_in_mind() -> None:
+    sources = [((3.0, 4.0), 0.0), ((3.5, 4.0), 0.0)]
+    belief, rng = IntensityBelief(FIELD), np.random.default_rng(1)
+    for _ in range(8):
+        for place, power in sources:
+            heard = hear(place, power, pairs_near(place, rng, 0.8), rng)
+            if heard is not None:
+                belief.detect(heard)
+    (one,) = belief.sources()
+    assert one.state == "found" and "may be two sources" in one.note
+    assert [u.ident for u in belief.unresolved(8, np.random.default_rng(0))] == [one.ident], (
+        "a planner is sent to see"
+    )
+    before = belief.probability_left()
+    belief.candidates[0].rival = None
+    assert belief.probability_left() < before
+    for _ in range(8):
+        for place, power in sources:
+            heard = hear(place, power, pairs_near(place, rng, 0.8), rng)
+            if heard is not None:
+                belief.detect(heard)
+    found = [s for s in belief.sources() if s.state == "found"]
+    assert sorted(s.east_m for s in found) == pytest.approx([3.0, 3.5], abs=0.25)
+
+
 def test_three_receptions_from_one_side_are_not_a_find() -> None:
     belief = IntensityBelief(FIELD)
     rng = np.random.default_rng(1)

@@ -24,6 +24,15 @@ def log_sum(logs: FloatArray) -> float:
     return best + float(np.log(np.exp(logs - best).sum()))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """The story that a candidate is two sources, while it cannot be told from that of one."""
+
+    probability: float
+    places_m: FloatArray
+    """(2, 2) where the two would be."""
+
+
 @dataclass
 class Candidate:
     """Arrays over the cloud are (h, n): power hypothesis by point."""
@@ -48,6 +57,7 @@ class Candidate:
     """Receptions whose likelihoods have been folded into the evidence for good."""
     certain_since: float | None = None
     """Receptions when its place first became certain enough, since it last was not."""
+    rival: Rival | None = None
     state: str = "candidate"
     note: str = ""
 

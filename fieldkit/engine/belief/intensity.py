@@ -84,7 +84,18 @@ class IntensityBelief:
                 continue
             doubt = self._doubt(candidate, summary)
             candidate.state = "doubtful" if doubt else "found"
-            candidate.note = doubt
+            candidate.note = doubt or self._may_be_two(candidate)
+
+    def _may_be_two(self, candidate: Candidate) -> str:
+        """What to know of a find that is as well explained as two sources; empty for others."""
+        rival = candidate.rival
+        if rival is None or rival.probability < 0.1:
+            return ""
+        (east, north), (east2, north2) = rival.places_m
+        return (
+            f"may be two sources, at {east:.1f}, {north:.1f} m and {east2:.1f}, {north2:.1f} m, "
+            f"with probability {rival.probability:.2f}"
+        )
 
     def _fresh_evidence(self, candidate: Candidate) -> bool:
         """Whether this is the first look at which the place is certain enough: a find must outlast one reception.
@@ -202,6 +213,8 @@ class IntensityBelief:
         for candidate in self.candidates:
             if candidate.state != "found":
                 none_left *= 1.0 - min(1.0, candidate.receptions)
+            elif candidate.rival is not None:
+                none_left *= 1.0 - candidate.rival.probability
         return float(1.0 - none_left)
 
     # -- for planners ------------------------------------------------------------------------------------
@@ -211,22 +224,28 @@ class IntensityBelief:
         return np.minimum(self.mixture.another_source().sum(axis=0), 0.5)
 
     def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
-        """Candidates that are not found, each with samples of place and power from its posterior."""
+        """Candidates not found, or that may be two sources, each with samples of where and how strong it may be."""
         result = []
         for candidate in self.candidates:
-            if candidate.state == "found":
+            if candidate.state == "found" and candidate.rival is None:
                 continue
             posterior = candidate.posterior()
             picks = rng.choice(posterior.size, size=samples, p=posterior.ravel() / posterior.sum())
             hypothesis, point = np.divmod(picks, posterior.shape[1])
             level = np.where(hypothesis < self.model.power_db.size, hypothesis, self.model.n_known // 2)
             summary = self.mixture.summary(candidate)
+            places, cov = candidate.points_m[point].copy(), summary.cov_m2
+            if candidate.rival is not None:
+                two = round(samples * candidate.rival.probability)
+                places[:two] = candidate.rival.places_m[np.arange(two) % 2]
+                apart = candidate.rival.places_m[1] - candidate.rival.places_m[0]
+                cov = cov + candidate.rival.probability * np.outer(apart, apart) / 4.0
             result.append(
                 Unresolved(
                     candidate.ident,
-                    candidate.points_m[point].copy(),
+                    places,
                     level.astype(float),
-                    summary.cov_m2,
+                    cov,
                     (RATE_SHAPE + candidate.receptions) / (self.mixture.rate_prior_s + summary.exposure_s),
                     candidate.receptions,
                     summary.p_here,
@@ -239,7 +258,8 @@ class IntensityBelief:
         """SHA-256 over exposure and every candidate's cloud, evidence and shares."""
         state = hashlib.sha256(self.exposure_s.tobytes())
         for candidate in self.candidates:
-            state.update(f"{candidate.ident} {candidate.state} {candidate.absorbed!r}".encode())
+            rival = candidate.rival.probability if candidate.rival is not None else 0.0
+            state.update(f"{candidate.ident} {candidate.state} {candidate.absorbed!r} {rival!r}".encode())
             state.update(candidate.points_m.tobytes())
             state.update(candidate.evidence.tobytes())
             state.update(repr(sorted(candidate.share.items())).encode())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, log_sum
+from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, Rival, log_sum
 from fieldkit.messages import FloatArray
 
 if TYPE_CHECKING:
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 FIRST = 5.0
 """Receptions at which a candidate's story is first told afresh; then at every 1.4 times as many."""
+UNDECIDED_NATS = -3.0
+"""Evidence of the best story of two over that of one from which on the two are kept in mind."""
+PLACE_ROUNDS = 6
+"""Turns in which one of two places is chosen anew given the other."""
 BETTER_NATS = 1.0
 """Evidence by which another story must be better."""
 
@@ -44,7 +48,15 @@ def revise(mixture: "Mixture") -> bool:
             single.set_share(number, part)
         pairs = _two(mixture, blank, share)
         scores = [_score(pair, share) for pair in pairs]
-        if pairs and max(scores) > _score([single], share) + BETTER_NATS:
+        odds_nats = max(scores, default=-np.inf) - _score([single], share)
+        candidate.rival = None
+        if odds_nats > UNDECIDED_NATS:
+            best = pairs[int(np.argmax(scores))]
+            candidate.rival = Rival(
+                float(1.0 / (1.0 + np.exp(-odds_nats))), np.array([_mean(part) for part in best])
+            )
+            mixture.revise_at[candidate.ident] = min(mixture.revise_at[candidate.ident], count + 1.9)
+        if odds_nats > BETTER_NATS:
             parts = [_retold(mixture, candidate, part.share) for part in pairs[int(np.argmax(scores))]]
         else:
             moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.grid.cell_m
@@ -116,10 +128,25 @@ def _two(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> list[
         cos, sin = np.cos(turn_rad), np.sin(turn_rad)
         along = spread @ np.array([cos * axis[0] - sin * axis[1], sin * axis[0] + cos * axis[1]])
         order = np.argsort(np.argsort(along, kind="stable"), kind="stable")
-        pair = _divide(mixture, blank, share, order * 2 < len(share))
-        if min(part.receptions for part in pair) >= 1.0:
-            stories.append(pair)
-    return stories
+        stories.append(_divide(mixture, blank, share, order * 2 < len(share)))
+    stories.append(_divide(mixture, blank, share, _best_two_places(mixture, blank, share)))
+    return [pair for pair in stories if min(part.receptions for part in pair) >= 1.0]
+
+
+def _best_two_places(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> NDArray[np.bool_]:
+    """(detections,) whether each was rather sent from the first of the two places and powers that explain all best.
+
+    Two sources a cell or two apart are no line that detections spread on: what tells them apart is how strong each
+    transmission was. Coordinate ascent over all places and known powers, from the best single one.
+    """
+    known = mixture.model.n_known
+    logs = np.array([blank.logs[number][:known].ravel() for number in share])
+    weight = np.array(list(share.values()))
+    like = np.exp(logs - logs.max(axis=1, keepdims=True)) + 1e-12
+    first = second = int(np.argmax(weight @ np.log(like)))
+    for _ in range(PLACE_ROUNDS):
+        first, second = second, int(np.argmax(weight @ np.log(like + like[:, second, None])))
+    return np.asarray(like[:, first] > like[:, second])
 
 
 def _divide(
