@@ -2,11 +2,22 @@
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+if TYPE_CHECKING:
+    from mission.config import Mission
+    from mission.page.serve import LivePage
+
+PageOption = Annotated[bool, typer.Option("--page/--no-page", help="Serve the live page.")]
+HostOption = Annotated[
+    str, typer.Option(help="Address the page is served on; 0.0.0.0 for phones in the same network.")
+]
+PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any.")]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result alone, as JSON, on standard output.")
 ]
@@ -24,6 +35,9 @@ def demo(
     seed: Annotated[int, typer.Option(help="Where the transmitters hide, and all other chance.")] = 7,
     out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
     rate: Annotated[float, typer.Option(min=0.1, max=20.0, help="Mission seconds per wall second.")] = 10.0,
+    page: PageOption = False,
+    page_host: HostOption = "127.0.0.1",
+    page_port: PortOption = 8321,
     as_json: JsonOption = False,
 ) -> None:
     """Run one whole mission on emulated radios and rovers, through the real drivers.
@@ -40,8 +54,14 @@ def demo(
     _say(
         f"calibrating the radios from {demonstration.example_readings().name}, then searching; files go to {folder}"
     )
-    with Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
-        result = demonstration.run(folder, seed, rate=rate, on_progress=watch.show)
+    prepared = demonstration.prepare(folder, seed)
+    with (
+        _page(prepared[0], page, page_host, page_port) as shown,
+        Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
+    ):
+        result = demonstration.run(
+            folder, seed, rate=rate, on_progress=watch.show, page=shown, prepared=prepared
+        )
     write_report(folder / "mission.mcap", folder / "report.html")
     plain = result.plain(seed)
     if as_json:
@@ -55,11 +75,17 @@ def demo(
 def run(
     mission_file: Annotated[Path, typer.Argument(metavar="MISSION.TOML", help="The mission file.")],
     out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
+    override: Annotated[
+        str, typer.Option(help="Why it may start although a vehicle's check is red; goes into the recording.")
+    ] = "",
+    page: PageOption = True,
+    page_host: HostOption = "127.0.0.1",
+    page_port: PortOption = 8321,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a mission on your own radios and vehicles.
+    """Run a mission on your own radios and vehicles, with a live page in the browser.
 
-    Ctrl-C holds all vehicles and closes the recording.
+    Enter holds all vehicles, Ctrl-C holds them and closes the recording.
 
     Example: fieldkit run mission.toml
     """
@@ -79,8 +105,11 @@ def run(
     write_whole(folder / "mission.toml", mission.text)
     write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
     _say(f"recording to {folder}/mission.mcap")
-    with Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
-        runner = fly(mission, rig, folder / "mission.mcap", watch.show)
+    with (
+        _page(mission, page, page_host, page_port) as shown,
+        Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
+    ):
+        runner = fly(mission, rig, folder / "mission.mcap", watch.show, page=shown, override=override)
     write_report(folder / "mission.mcap", folder / "report.html")
     finds = [plain_source(source) for source in runner.kernel.sources()]
     if as_json:
@@ -330,6 +359,43 @@ def study(
     from mission.console import study_table
 
     study_table(result)
+
+
+def dashboard(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A recording (mission.mcap).")],
+    page_host: HostOption = "127.0.0.1",
+    page_port: PortOption = 8322,
+) -> None:
+    """Show a recording on the page that the live mission had, with a time to go to and a speed to play at.
+
+    Example: fieldkit dashboard runs/20260102T030405Z/mission.mcap
+    """
+    from fieldkit.clock import wall_sleep
+    from fieldkit.recording.reader import open_recording
+    from mission.page import serve
+
+    _say(f"reading {log} ...")
+    with serve.past(open_recording(log), host=page_host, port=page_port) as page:
+        _say(f"open {page.address}   (Ctrl-C ends it)")
+        while True:
+            wall_sleep(0.5)
+
+
+@contextmanager
+def _page(mission: "Mission", wanted: bool, host: str, port: int) -> "Iterator[LivePage | None]":
+    """The live page, and where to find it, on standard error."""
+    if not wanted:
+        yield None
+        return
+    from mission.keyboard import HELP
+    from mission.page import serve
+
+    with serve.live(mission, host=host, port=port) as shown:
+        _say(f"to look and command, open  {shown.page.command_address}")
+        _say(f"only to look:              {shown.page.address}")
+        if sys.stdin is not None and sys.stdin.isatty():
+            _say(HELP)
+        yield shown
 
 
 def _run_folder(out: Path) -> Path:

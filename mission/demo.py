@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,9 +23,13 @@ from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.sources import TransientSource, random_sources
 from mission import rigs
 from mission.config import Mission, read_mission
+from mission.keyboard import keyboard
 from mission.runner import Progress, Runner
 from mission.template import TemplateRobot, mission_text
 from mission.warm import warm_up
+
+if TYPE_CHECKING:
+    from mission.page.serve import LivePage
 
 N_SOURCES = 3
 FIELD_M = 10.0
@@ -111,9 +115,11 @@ def run(
     *,
     rate: float = CLOCK_RATE,
     on_progress: Callable[[Progress], None] = lambda _: None,
+    page: "LivePage | None" = None,
+    prepared: tuple[Mission, tuple[TransientSource, ...]] | None = None,
 ) -> DemoResult:
-    """One whole mission; its files are in `folder` afterwards."""
-    mission, sources = prepare(folder, seed)
+    """One whole mission; its files are in `folder` afterwards. A `page` must be of the mission `prepared`."""
+    mission, sources = prepared or prepare(folder, seed)
     warm_up(mission)
     with rigs.emulated(mission, sources, seed=seed, rate=rate) as rig:
         runner = fly(
@@ -123,6 +129,7 @@ def run(
             on_progress,
             truth=sources,
             extra={"demo": True, "seed": seed},
+            page=page,
         )
     return DemoResult(mission, runner, sources, folder)
 
@@ -135,6 +142,8 @@ def fly(
     *,
     truth: tuple[TransientSource, ...] = (),
     extra: dict[str, Any] | None = None,
+    page: "LivePage | None" = None,
+    override: str = "",
 ) -> Runner:
     """Run a mission on a rig with a recording; the runner, ended. The recording is closed whatever happens."""
     metadata: dict[str, Any] = {"mission": mission.file.name, "seed": mission.file.seed, **(extra or {})}
@@ -152,8 +161,16 @@ def fly(
         frame=frame,
         start_ns=rig.clock.now_ns(),
     ) as recorder:
-        runner = Runner(mission, rig, recorder, on_progress)
-        asyncio.run(runner.run())
+        followers = () if page is None else (page.follower,)
+        runner = Runner(mission, rig, recorder, on_progress, followers, override)
+
+        async def run() -> None:
+            if page is not None:
+                page.attach(runner)
+            with keyboard(runner):
+                await runner.run()
+
+        asyncio.run(run())
     return runner
 
 

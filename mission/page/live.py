@@ -1,0 +1,94 @@
+"""A mission under way, shown: frames twice a second, news and grids as they come, and what the operator wants."""
+
+import contextlib
+import json
+from collections import deque
+from typing import Any
+
+from fieldkit.messages import Event, Tick
+from mission.page.server import Mailbox, Page
+from mission.page.view import View
+
+Messages = list[tuple[str, str]]
+"""(slot in a mailbox, text)."""
+
+
+class LiveShow:
+    """A `Follower` and a `Show`: folds in the mission's thread, hands finished texts to the server's."""
+
+    def __init__(self, view: View) -> None:
+        self.view = view
+        self.page: Page | None = None
+        self._mailboxes: list[Mailbox] = []
+        self._newcomers: deque[Mailbox] = deque()
+        self._hello = json.dumps(view.hello() | {"live": True})
+
+    # -- the server's thread ---------------------------------------------------------------------------------
+
+    def open(self, mailbox: Mailbox) -> None:
+        """The past is told at the mission's next tick."""
+        mailbox.put("hello", self._hello)
+        self._newcomers.append(mailbox)
+
+    def close(self, mailbox: Mailbox) -> None:
+        for waiting in (self._mailboxes, self._newcomers):
+            with contextlib.suppress(ValueError):
+                waiting.remove(mailbox)
+
+    def asked(self, mailbox: Mailbox, question: dict[str, Any]) -> None:
+        """There is nothing else to see live."""
+
+    def _hand_over(self, now: Messages, news: list[str], newcomers: list[Mailbox], past: Messages) -> None:
+        for mailbox in self._mailboxes:
+            for slot, text in now:
+                mailbox.put(slot, text)
+            for text in news:
+                mailbox.add(text)
+        for mailbox in newcomers:
+            for slot, text in past:
+                mailbox.put(slot, text)
+        self._mailboxes += newcomers
+
+    # -- the mission's thread --------------------------------------------------------------------------------
+
+    def event(self, inbox_number: int, log_time_ns: int, event: Event) -> None:
+        self.view.event(inbox_number, log_time_ns, event)
+        if isinstance(event, Tick):
+            self.publish()
+
+    def publish(self) -> None:
+        """Hand over what is new; nothing is made where nobody looks."""
+        news = self.view.news()
+        if self.page is None or not self.page.clients:
+            return
+        newcomers = [self._newcomers.popleft() for _ in range(len(self._newcomers))]
+        past = _texts(self.view.history()) if newcomers else []
+        frame = ("frame", json.dumps(self.view.frame()))
+        now = [frame, *_texts(self.view.grids())]
+        told = [json.dumps({"kind": "news", **each}) for each in news]
+        self.page.call(lambda: self._hand_over(now, told, newcomers, [*past, frame]))
+
+    def command(self, *given: Any) -> None:
+        self.view.command(*given)
+
+    def detection(self, *given: Any) -> None:
+        self.view.detection(*given)
+
+    def sources(self, *given: Any) -> None:
+        self.view.sources(*given)
+
+    def plan(self, *given: Any) -> None:
+        self.view.plan(*given)
+
+    def belief(self, *given: Any, **more: Any) -> None:
+        self.view.belief(*given, **more)
+
+    def note(self, *given: Any) -> None:
+        self.view.note(*given)
+
+    def flush(self) -> None:
+        self.publish()
+
+
+def _texts(messages: list[dict[str, Any]]) -> Messages:
+    return [(f"{each['kind']} {each.get('name', '')}", json.dumps(each)) for each in messages]

@@ -1,0 +1,160 @@
+"""A recording, shown: the same frames a live page had, one a second, with a time to go to and a speed to play at."""
+
+import asyncio
+import contextlib
+import heapq
+import json
+from collections.abc import Iterator
+from operator import itemgetter
+from typing import Any
+
+from fieldkit.messages import Tick
+from fieldkit.recording.reader import Recording
+from mission.page.server import Mailbox
+from mission.page.view import KEPT, SERIES_POINTS, TRACK_POINTS, View
+from mission.replay import recorded_mission
+
+MOST_FRAMES = 4000
+"""Frames kept; a recording longer than this many seconds gets one every few seconds."""
+PLAY_S = 0.2
+"""Wall seconds between frames while playing."""
+FASTEST = 100.0
+
+
+class PastShow:
+    """A `Show` of a recording, folded once when made."""
+
+    def __init__(self, recording: Recording) -> None:
+        mission = recorded_mission(recording)
+        view = View(mission, kept=None)
+        self.duration_s = float(recording.summary()["duration_s"])
+        every_s = max(1.0, self.duration_s / MOST_FRAMES)
+        self._frames: list[tuple[float, str]] = []
+        self._grids: list[tuple[float, str, str]] = []
+        """(s, name, text)."""
+        next_s = 0.0
+        for item in _stream(recording):
+            _fold(view, item)
+            if item[1] != "event" or not isinstance(item[2].value, Tick):
+                continue
+            frame = view.frame()
+            if frame["t_s"] >= next_s:
+                next_s = frame["t_s"] + every_s
+                self._frames.append((frame["t_s"], json.dumps(frame)))
+                self._grids += [(frame["t_s"], each["name"], json.dumps(each)) for each in view.grids()]
+        self._view = view
+        self._hello = json.dumps(view.hello() | {"live": False, "duration_s": self.duration_s})
+        self._players: dict[Mailbox, asyncio.Task[None]] = {}
+        self._at_s: dict[Mailbox, float] = {}
+
+    def open(self, mailbox: Mailbox) -> None:
+        self._at_s[mailbox] = self.duration_s
+        mailbox.put("hello", self._hello)
+
+    def close(self, mailbox: Mailbox) -> None:
+        self._stop(mailbox)
+        self._at_s.pop(mailbox, None)
+
+    def asked(self, mailbox: Mailbox, question: dict[str, Any]) -> None:
+        """`seek` to a time, `play` at a rate, `pause`."""
+        kind = question.get("kind")
+        if kind == "seek":
+            self._seek(mailbox, _number(question.get("t_s"), self.duration_s))
+        elif kind == "play":
+            self._stop(mailbox)
+            rate = min(max(_number(question.get("rate"), 1.0), 0.1), FASTEST)
+            self._players[mailbox] = asyncio.create_task(self._play(mailbox, rate))
+        elif kind == "pause":
+            self._stop(mailbox)
+
+    def _stop(self, mailbox: Mailbox) -> None:
+        if (task := self._players.pop(mailbox, None)) is not None:
+            task.cancel()
+
+    async def _play(self, mailbox: Mailbox, rate: float) -> None:
+        if self._at_s[mailbox] >= self.duration_s - 1.0:
+            self._seek(mailbox, 0.0)
+        while self._at_s[mailbox] < self.duration_s:
+            await asyncio.sleep(PLAY_S)
+            self._go_on(mailbox, min(self._at_s[mailbox] + rate * PLAY_S, self.duration_s))
+
+    def _seek(self, mailbox: Mailbox, t_s: float) -> None:
+        """Everything anew, as it was then."""
+        t_s = min(max(t_s, 0.0), self.duration_s)
+        self._at_s[mailbox] = t_s
+        view = self._view
+        history = {
+            "kind": "history",
+            "tracks": {name: _until(track, t_s, 0, TRACK_POINTS) for name, track in view.tracks.items()},
+            "series": _until(view.series, t_s, "t_s", SERIES_POINTS),
+            "detections": _until(view.detections, t_s, "t_s", KEPT),
+            "notes": _until(view.notes, t_s, "t_s", KEPT),
+        }
+        mailbox.put("history", json.dumps(history))
+        for name in ("belief", "exposure"):
+            texts = [text for at_s, called, text in self._grids if called == name and at_s <= t_s]
+            if texts:
+                mailbox.put(f"grid {name}", texts[-1])
+        if frames := [text for at_s, text in self._frames if at_s <= t_s] or [t for _, t in self._frames[:1]]:
+            mailbox.put("frame", frames[-1])
+
+    def _go_on(self, mailbox: Mailbox, t_s: float) -> None:
+        """What has come since the time shown."""
+        before_s, self._at_s[mailbox] = self._at_s[mailbox], t_s
+        for at_s, name, text in self._grids:
+            if before_s < at_s <= t_s:
+                mailbox.put(f"grid {name}", text)
+        passed = [text for at_s, text in self._frames if before_s < at_s <= t_s]
+        if passed:
+            mailbox.put("frame", passed[-1])
+        for name, rows in (("detection", self._view.detections), ("note", self._view.notes)):
+            for row in rows:
+                if before_s < row["t_s"] <= t_s:
+                    mailbox.add(json.dumps({"kind": "news", name: row}))
+        for row in self._view.series:
+            if before_s < row["t_s"] <= t_s:
+                mailbox.add(json.dumps({"kind": "news", "point": row}))
+
+
+def _stream(recording: Recording) -> Iterator[tuple[int, str, Any]]:
+    """Everything in the order of time: (log time, family, item)."""
+    items = ((item.log_time_ns, item.kind, item) for item in recording.items())
+    grids = ((each.log_time_ns, "grid", each) for each in recording.beliefs())
+    return heapq.merge(items, grids, key=itemgetter(0))
+
+
+def _fold(view: View, entry: tuple[int, str, Any]) -> None:
+    at_ns, kind, item = entry
+    match kind:
+        case "event":
+            view.event(item.inbox_number, at_ns, item.value)
+        case "command":
+            view.command(item.inbox_number, at_ns, item.value, item.origin)
+        case "detection":
+            view.detection(item.inbox_number, at_ns, item.value)
+        case "sources":
+            view.sources(item.inbox_number, at_ns, item.value)
+        case "plan":
+            view.plan(item.inbox_number, at_ns, item.value)
+        case "belief":
+            view.belief(item.inbox_number, at_ns, numbers=item.value.values)
+        case "note":
+            view.note(item.value.level, item.value.text, at_ns)
+        case "grid":
+            view.belief(0, at_ns, item.values, cell_m=item.cell_m)
+        case _:
+            pass
+
+
+def _until(rows: Any, t_s: float, key: Any, most: int) -> list[Any]:
+    """The rows up to a time: the last `most`, or every so many where they are a line."""
+    early = [row for row in rows if row[key] <= t_s]
+    return early[-most:] if key == "t_s" else early
+
+
+def _number(value: object, otherwise: float) -> float:
+    with contextlib.suppress(TypeError, ValueError):
+        number = float(value)  # type: ignore[arg-type]
+        if number == number:
+            return number
+    return otherwise

@@ -1,0 +1,60 @@
+"""The page beside a mission, and over a recording."""
+
+import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from fieldkit.messages import Operator
+from fieldkit.recording.reader import Recording
+from mission.config import Mission
+from mission.page.live import LiveShow
+from mission.page.past import PastShow
+from mission.page.server import Page
+from mission.page.view import View
+from mission.runner import Runner
+
+
+class LivePage:
+    """A page for one mission. `follower` goes to the runner, which is then attached."""
+
+    def __init__(self, mission: Mission, host: str, port: int) -> None:
+        self._runner: Runner | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self.follower = LiveShow(View(mission, self._answers))
+        self.page = Page(self.follower, self._command, host=host, port=port)
+        self.follower.page = self.page
+
+    def attach(self, runner: Runner) -> None:
+        """Commands go to this runner, in the event loop that runs now."""
+        self._runner, self._loop = runner, asyncio.get_running_loop()
+
+    def _answers(self) -> dict[str, tuple[str, str]]:
+        return {} if self._runner is None else self._runner.helm.answers
+
+    def _command(self, command: dict[str, Any]) -> None:
+        """In the server's thread: over to the mission's."""
+        runner, loop = self._runner, self._loop
+        if runner is None or loop is None or loop.is_closed():
+            return
+
+        def put() -> None:
+            action = command["action"]
+            runner.put(Operator(runner.rig.clock.now_ns(), reason=f"page: {action}", **command))
+
+        loop.call_soon_threadsafe(put)
+
+
+@contextmanager
+def live(mission: Mission, *, host: str = "127.0.0.1", port: int = 0) -> Iterator[LivePage]:
+    """The page of a mission about to run. Raises `ConfigError` where the port is taken."""
+    made = LivePage(mission, host, port)
+    with made.page:
+        yield made
+
+
+@contextmanager
+def past(recording: Recording, *, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page]:
+    """The page over a recording. Raises `RecordingError`, `ConfigError`."""
+    with Page(PastShow(recording), host=host, port=port) as page:
+        yield page

@@ -1,0 +1,304 @@
+"""Serves the page from a thread and an event loop of its own: no browser, slow or dead, ever delays the mission.
+
+What the mission publishes is put into a small mailbox per browser: of the present only the newest is kept, of the
+news the oldest are dropped. Commands need the token that was printed at the start, over a websocket whose origin
+is this page; everybody else may look. Hosts are checked by name, so that no foreign page can reach a loopback
+address by a name of its own.
+"""
+
+import asyncio
+import contextlib
+import hmac
+import ipaddress
+import json
+import logging
+import math
+import secrets
+import socket
+import threading
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+from urllib.parse import urlsplit
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from fieldkit.errors import ConfigError
+
+logger = logging.getLogger(__name__)
+
+STATIC = Path(__file__).parent / "static"
+FILES = {path.name: path for path in STATIC.iterdir() if path.suffix in (".html", ".js", ".css", ".svg")}
+NEWS_WAITING = 200
+"""News kept for a browser that does not take them."""
+LONGEST_MESSAGE = 16_384
+SEND_TIMEOUT_S = 10.0
+"""A browser that takes nothing for this long is let go."""
+HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
+ACTIONS = ("hold", "resume", "return", "end", "release", "remove", "exclude")
+
+
+class Show(Protocol):
+    """What there is to see: a mission under way, or a recording."""
+
+    def open(self, mailbox: "Mailbox") -> None:
+        """A browser has come; `mailbox` takes what it is to get. In the server's loop."""
+        ...
+
+    def close(self, mailbox: "Mailbox") -> None: ...
+
+    def asked(self, mailbox: "Mailbox", question: dict[str, Any]) -> None:
+        """It asks for something else to see."""
+        ...
+
+
+class Mailbox:
+    """What one browser has still to get. Filled and emptied in the server's loop."""
+
+    def __init__(self) -> None:
+        self._newest: dict[str, str] = {}
+        self._news: deque[str] = deque(maxlen=NEWS_WAITING)
+        self._more = asyncio.Event()
+        self.dropped = 0
+
+    def put(self, slot: str, text: str) -> None:
+        """Something of which only the newest counts."""
+        self.dropped += slot in self._newest
+        self._newest.pop(slot, None)
+        self._newest[slot] = text
+        self._more.set()
+
+    def add(self, text: str) -> None:
+        """News, in order; the oldest are dropped."""
+        self.dropped += len(self._news) == self._news.maxlen
+        self._news.append(text)
+        self._more.set()
+
+    async def items(self) -> AsyncIterator[str]:
+        """What is there, as it comes."""
+        while True:
+            await self._more.wait()
+            self._more.clear()
+            waiting, self._newest = self._newest, {}
+            for text in waiting.values():
+                yield text
+            while self._news:
+                yield self._news.popleft()
+
+
+class Page:
+    """The page on a port, while used as a context manager. Raises `ConfigError` where the port is taken."""
+
+    def __init__(
+        self,
+        show: Show,
+        on_command: Callable[[dict[str, Any]], None] | None = None,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+    ) -> None:
+        """`on_command` is called in the server's thread with a checked command; None: nobody may command."""
+        self.token = secrets.token_urlsafe(16)
+        self._show = show
+        self._on_command = on_command
+        self._socket = _bound(host, port)
+        self.host, self.port = host, int(self._socket.getsockname()[1])
+        self.loop: asyncio.AbstractEventLoop | None = None
+        """The server's event loop, while it runs."""
+        self.clients = 0
+        self._ready = threading.Event()
+        app = Starlette(
+            routes=[
+                WebSocketRoute("/live", self._live),
+                Route("/", self._file),
+                Route("/{name}", self._file),
+            ]
+        )
+        config = uvicorn.Config(
+            app, log_level="warning", access_log=False, lifespan="off", ws_max_size=LONGEST_MESSAGE
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+
+    @property
+    def address(self) -> str:
+        """Where to look; without the right to command."""
+        shown = "127.0.0.1" if self.host in ("0.0.0.0", "::") else self.host
+        return f"http://{shown}:{self.port}/"
+
+    @property
+    def command_address(self) -> str:
+        """Where to look and command. The token is behind the #: browsers keep it to themselves."""
+        return f"{self.address}#{self.token}"
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._ready.wait(10.0)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.should_exit = True
+        self._server.force_exit = True
+        self._thread.join(5.0)
+        self._socket.close()
+
+    def call(self, action: Callable[[], None]) -> None:
+        """Have something done in the server's loop; from any thread, without waiting."""
+        if self.loop is not None:
+            with contextlib.suppress(RuntimeError):  # it has just ended
+                self.loop.call_soon_threadsafe(action)
+
+    def _run(self) -> None:
+        async def serve() -> None:
+            self.loop = asyncio.get_running_loop()
+            self._ready.set()
+            await self._server.serve(sockets=[self._socket])
+
+        try:
+            asyncio.run(serve())
+        except Exception:  # the page is not the mission: it may fail, and says so
+            logger.exception("the page has stopped; the mission goes on")
+        finally:
+            self._ready.set()
+
+    # -- what browsers ask for -------------------------------------------------------------------------------
+
+    async def _file(self, request: Request) -> Response:
+        if not is_known_host(request.headers.get("host", ""), self.host):
+            return PlainTextResponse("unknown host name: use the address that was printed", 421)
+        path = FILES.get(request.path_params.get("name", "page.html"))
+        if path is None:
+            return PlainTextResponse("there is no such file", 404)
+        return FileResponse(path, headers=HEADERS)
+
+    async def _live(self, websocket: WebSocket) -> None:
+        host = websocket.headers.get("host", "")
+        if not is_known_host(host, self.host) or not is_own_origin(websocket.headers.get("origin"), host):
+            await websocket.close(4403)
+            return
+        await websocket.accept()
+        mailbox = Mailbox()
+        self.clients += 1
+        self._show.open(mailbox)
+        sending = asyncio.create_task(_send(websocket, mailbox))
+        try:
+            await self._receive(websocket, mailbox)
+        except (WebSocketDisconnect, RuntimeError):
+            pass
+        finally:
+            self.clients -= 1
+            self._show.close(mailbox)
+            sending.cancel()
+            await asyncio.wait({sending})
+
+    async def _receive(self, websocket: WebSocket, mailbox: Mailbox) -> None:
+        may_command = False
+        while True:
+            try:
+                message = json.loads(await websocket.receive_text())
+            except ValueError:
+                continue
+            if not isinstance(message, dict):
+                continue
+            if message.get("kind") == "token":
+                may_command = self._is_token(message.get("token"))
+                said = {"kind": "rights", "may_command": may_command, "wrong_token": not may_command}
+                mailbox.put("rights", json.dumps(said))
+            elif message.get("kind") == "command":
+                self._command(message, may_command, mailbox)
+            else:
+                self._show.asked(mailbox, message)
+
+    def _is_token(self, given: object) -> bool:
+        right = isinstance(given, str) and hmac.compare_digest(given.encode(), self.token.encode())
+        return right and self._on_command is not None
+
+    def _command(self, message: dict[str, Any], may_command: bool, mailbox: Mailbox) -> None:
+        answer = {"kind": "answer", "number": message.get("number"), "ok": False, "text": ""}
+        command = checked_command(message)
+        if not may_command or self._on_command is None:
+            answer["text"] = "not allowed: open the address with the token that was printed at the start"
+        elif isinstance(command, str):
+            answer["text"] = command
+        else:
+            self._on_command(command)
+            answer["ok"] = True
+        mailbox.add(json.dumps(answer))
+
+
+async def _send(websocket: WebSocket, mailbox: Mailbox) -> None:
+    try:
+        async for text in mailbox.items():
+            await asyncio.wait_for(websocket.send_text(text), SEND_TIMEOUT_S)
+    except (WebSocketDisconnect, RuntimeError, TimeoutError, OSError):
+        with contextlib.suppress(Exception):
+            await websocket.close(1008)
+
+
+def checked_command(message: dict[str, Any]) -> dict[str, Any] | str:
+    """A command from a browser as `Operator`'s arguments, or why it is none."""
+    action, robot, source = message.get("action"), message.get("robot"), message.get("source")
+    if action not in ACTIONS:
+        return f"there is no command {action!r}"
+    if robot is not None and not isinstance(robot, str):
+        return "robot: expected a name"
+    if action == "remove" and not isinstance(source, int):
+        return "source: expected a number"
+    area = message.get("area_m") or []
+    try:
+        corners = tuple((float(east), float(north)) for east, north in area)
+    except (TypeError, ValueError):
+        return "area_m: expected corners [east, north]"
+    if action == "exclude" and not (3 <= len(corners) <= 100 and all(map(_is_place, corners))):
+        return "area_m: expected 3 to 100 corners"
+    command: dict[str, Any] = {"action": action, "robot": robot}
+    if action == "remove":
+        command["source"] = source
+    if action == "exclude":
+        command["area_m"] = corners
+    return command
+
+
+def _is_place(corner: tuple[float, float]) -> bool:
+    return math.isfinite(corner[0]) and math.isfinite(corner[1])
+
+
+def is_known_host(header: str, served: str) -> bool:
+    """Whether a Host header is an address or a name of this machine: foreign names that point here are not."""
+    name = urlsplit(f"//{header}").hostname or ""
+    if name in ("localhost", served, socket.gethostname().lower()):
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def is_own_origin(origin: str | None, host: str) -> bool:
+    """Whether a websocket was opened by this page, or by no page at all (then there is no Origin)."""
+    return origin is None or origin in (f"http://{host}", f"https://{host}")
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    try:
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        raise ConfigError(
+            f"the page cannot be served on {host}:{port}: {error.strerror}; is another mission running? "
+            "choose another --page-port"
+        ) from error

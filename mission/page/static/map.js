@@ -1,0 +1,287 @@
+// The field in metres, north up: belief or what was searched, tracks, plans, sources with their 90 % region, robots.
+import { colourOf, model } from "./model.js";
+
+const canvas = document.getElementById("map");
+const pen = canvas.getContext("2d");
+const images = {};
+let view = null;
+let corners = []; // of an area being drawn, in metres
+let pointer = null;
+let css = {};
+
+export const area = {
+  get corners() { return corners; },
+  drawing: false,
+  begin() { this.drawing = true; corners = []; },
+  end() { this.drawing = false; const drawn = corners; corners = []; return drawn; },
+};
+
+// Perceptually even ramps from clear to bright; drawn over the map's ground.
+const RAMPS = {
+  belief: [[68, 30, 120, 0], [88, 48, 160, 150], [170, 60, 130, 215], [240, 110, 70, 235], [253, 200, 60, 245], [255, 250, 190, 255]],
+  exposure: [[40, 120, 150, 0], [40, 120, 150, 60], [50, 150, 165, 110], [80, 185, 175, 150]],
+};
+
+function ramp(name) {
+  const stops = RAMPS[name];
+  const table = new Uint8ClampedArray(256 * 4);
+  for (let i = 0; i < 256; i += 1) {
+    const at = (i / 255) * (stops.length - 1);
+    const low = Math.min(stops.length - 2, Math.floor(at));
+    for (let k = 0; k < 4; k += 1) {
+      table[4 * i + k] = stops[low][k] + (at - low) * (stops[low + 1][k] - stops[low][k]);
+    }
+  }
+  return table;
+}
+const TABLES = { belief: ramp("belief"), exposure: ramp("exposure") };
+
+function imageOf(grid) {
+  const known = images[grid.name];
+  if (known && known.grid === grid) return known.image;
+  const image = known?.image ?? document.createElement("canvas");
+  image.width = grid.n_east;
+  image.height = grid.n_north;
+  const data = new ImageData(grid.n_east, grid.n_north);
+  const table = TABLES[grid.name];
+  for (let row = 0; row < grid.n_north; row += 1) {
+    for (let column = 0; column < grid.n_east; column += 1) {
+      const cell = grid.cells[row * grid.n_east + column];
+      const to = 4 * ((grid.n_north - 1 - row) * grid.n_east + column); // row 0 is south, a picture's is its top
+      data.data.set(table.subarray(4 * cell, 4 * cell + 4), to);
+    }
+  }
+  image.getContext("2d").putImageData(data, 0, 0);
+  images[grid.name] = { grid, image };
+  return image;
+}
+
+export function toMetres(event) {
+  const box = canvas.getBoundingClientRect();
+  return [view.east + (event.clientX - box.left - view.x) / view.scale, view.north - (event.clientY - box.top - view.y) / view.scale];
+}
+const X = (east) => view.x + (east - view.east) * view.scale;
+const Y = (north) => view.y - (north - view.north) * view.scale;
+
+function fit() {
+  const ratio = Math.min(window.devicePixelRatio || 1, 2);
+  const width = canvas.clientWidth;
+  const height = canvas.clientHeight;
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  const field = model.hello.field;
+  const pad = { left: 44, right: 18, top: 54, bottom: 34 }; // axis labels, and the switch for the layers
+  const room = { east: width - pad.left - pad.right, north: height - pad.top - pad.bottom };
+  const scale = Math.min(room.east / field.east_m, room.north / field.north_m);
+  view = {
+    scale, width, height, east: field.east_m / 2, north: field.north_m / 2,
+    x: pad.left + room.east / 2, y: pad.top + room.north / 2,
+  };
+}
+
+function colours() {
+  const style = getComputedStyle(document.documentElement);
+  const names = ["line", "text", "dim", "faint", "bad", "warn", "good", "accent", "found", "candidate", "doubtful", "map"];
+  css = Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+}
+colours();
+matchMedia("(prefers-color-scheme: light)").addEventListener("change", colours);
+
+function path(points, close = false) {
+  pen.beginPath();
+  points.forEach(([east, north], index) => (index ? pen.lineTo(X(east), Y(north)) : pen.moveTo(X(east), Y(north))));
+  if (close) pen.closePath();
+}
+
+function halo(text, x, y, colour, font = "600 12px system-ui") {
+  pen.font = font;
+  pen.lineWidth = 3;
+  pen.strokeStyle = css.map;
+  pen.lineJoin = "round";
+  pen.strokeText(text, x, y);
+  pen.fillStyle = colour;
+  pen.fillText(text, x, y);
+}
+
+function drawGround(field, layer) {
+  pen.clearRect(0, 0, view.width, view.height);
+  const grid = model.grids[layer];
+  if (grid) {
+    pen.imageSmoothingEnabled = layer === "exposure";
+    const east = grid.n_east * grid.cell_m;
+    const north = grid.n_north * grid.cell_m;
+    pen.save();
+    path([[0, 0], [field.east_m, 0], [field.east_m, field.north_m], [0, field.north_m]], true);
+    pen.clip();
+    pen.drawImage(imageOf(grid), X(0), Y(north), east * view.scale, north * view.scale);
+    pen.restore();
+  }
+  const step = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 5000].find((s) => s * view.scale >= 62) ?? 10000;
+  pen.lineWidth = 1;
+  pen.strokeStyle = css.line;
+  pen.fillStyle = css.faint;
+  pen.font = "11px system-ui";
+  pen.globalAlpha = 0.55;
+  pen.beginPath();
+  for (let e = 0; e <= field.east_m + 1e-9; e += step) { pen.moveTo(X(e), Y(0)); pen.lineTo(X(e), Y(field.north_m)); }
+  for (let n = 0; n <= field.north_m + 1e-9; n += step) { pen.moveTo(X(0), Y(n)); pen.lineTo(X(field.east_m), Y(n)); }
+  pen.stroke();
+  pen.globalAlpha = 1;
+  pen.textAlign = "center";
+  pen.textBaseline = "top";
+  for (let e = 0; e <= field.east_m + 1e-9; e += step) pen.fillText(`${+e.toFixed(1)}`, X(e), Y(0) + 6);
+  pen.textAlign = "right";
+  pen.textBaseline = "middle";
+  for (let n = 0; n <= field.north_m + 1e-9; n += step) pen.fillText(`${+n.toFixed(1)}${n === 0 ? " m" : ""}`, X(0) - 6, Y(n));
+  path(field.fence_m, true);
+  pen.strokeStyle = css.dim;
+  pen.lineWidth = 1.5;
+  pen.stroke();
+}
+
+function drawAreas(areas) {
+  for (const polygon of areas) {
+    path(polygon, true);
+    pen.save();
+    pen.clip();
+    pen.strokeStyle = css.bad;
+    pen.globalAlpha = 0.5;
+    pen.lineWidth = 1;
+    pen.beginPath();
+    for (let x = -view.height; x < view.width; x += 9) { pen.moveTo(x, view.height); pen.lineTo(x + view.height, 0); }
+    pen.stroke();
+    pen.restore();
+    path(polygon, true);
+    pen.strokeStyle = css.bad;
+    pen.lineWidth = 1.5;
+    pen.stroke();
+  }
+}
+
+function drawTracks(frame) {
+  for (const robot of frame.robots) {
+    const track = model.tracks[robot.name] ?? [];
+    const colour = colourOf(robot.name);
+    pen.strokeStyle = colour;
+    pen.lineJoin = "round";
+    if (track.length > 1) {
+      const recent = track.length - Math.min(track.length, 60);
+      pen.globalAlpha = 0.35; pen.lineWidth = 1.5;
+      path(track.slice(0, recent + 1).map((p) => [p[1], p[2]])); pen.stroke();
+      pen.globalAlpha = 0.85; pen.lineWidth = 2;
+      path(track.slice(recent).map((p) => [p[1], p[2]])); pen.stroke();
+    }
+    if (robot.path_m.length && robot.east_m !== null) {
+      pen.globalAlpha = 0.8; pen.lineWidth = 1.5; pen.setLineDash([2, 5]);
+      path([[robot.east_m, robot.north_m], ...robot.path_m]); pen.stroke();
+      pen.setLineDash([]);
+      const [east, north] = robot.path_m[robot.path_m.length - 1];
+      pen.globalAlpha = 1;
+      pen.beginPath(); pen.arc(X(east), Y(north), 3, 0, 7); pen.stroke();
+    }
+    pen.globalAlpha = 1;
+  }
+}
+
+function drawSources(frame) {
+  for (const source of frame.sources) {
+    const colour = css[source.state] ?? css.doubtful;
+    const x = X(source.east_m);
+    const y = Y(source.north_m);
+    const [a, b] = source.half_axes_m;
+    const is = { found: source.state === "found", removed: source.state === "removed" };
+    if (a !== null && !is.removed) {
+      pen.beginPath();
+      pen.ellipse(x, y, Math.max(2, a * view.scale), Math.max(2, b * view.scale), (-source.turn_deg * Math.PI) / 180, 0, 7);
+      pen.strokeStyle = colour;
+      pen.lineWidth = is.found ? 2 : 1.5;
+      if (!is.found) pen.setLineDash([5, 4]);
+      pen.stroke();
+      pen.setLineDash([]);
+      pen.globalAlpha = 0.12; pen.fillStyle = colour; pen.fill(); pen.globalAlpha = 1;
+    }
+    pen.strokeStyle = css.map; pen.lineWidth = 5; cross(x, y, is.removed); pen.stroke();
+    pen.strokeStyle = colour; pen.lineWidth = 2.5; cross(x, y, is.removed); pen.stroke();
+    pen.textAlign = "left"; pen.textBaseline = "bottom";
+    const words = is.removed ? "removed" : source.state === "doubtful" ? "?" : `${Math.round(100 * source.p)} %`;
+    halo(`${source.ident}  ${words}`, x + 9, y - 5, colour, "700 12px system-ui");
+  }
+}
+function cross(x, y, turned) {
+  pen.beginPath();
+  if (turned) { pen.moveTo(x - 6, y - 6); pen.lineTo(x + 6, y + 6); pen.moveTo(x + 6, y - 6); pen.lineTo(x - 6, y + 6); return; }
+  pen.moveTo(x - 8, y); pen.lineTo(x + 8, y); pen.moveTo(x, y - 8); pen.lineTo(x, y + 8);
+}
+
+function drawHearing(frame) { // A ring runs out from each robot that has just heard something.
+  const now = performance.now();
+  const places = Object.fromEntries(frame.robots.map((robot) => [robot.name, robot]));
+  for (const heard of model.detections.slice(-8)) {
+    const age = heard.seenAt ? (now - heard.seenAt) / 1400 : 1;
+    if (age >= 1) continue;
+    for (const name of Object.keys(heard.heard_dbm)) {
+      const robot = places[name];
+      if (!robot || robot.east_m === null) continue;
+      pen.beginPath();
+      pen.arc(X(robot.east_m), Y(robot.north_m), 9 + 26 * age, 0, 7);
+      pen.globalAlpha = 1 - age; pen.lineWidth = 2.5; pen.strokeStyle = css.text; pen.stroke(); pen.globalAlpha = 1;
+    }
+  }
+}
+
+function drawRobots(frame) {
+  for (const robot of frame.robots) {
+    if (robot.east_m === null) continue;
+    const x = X(robot.east_m);
+    const y = Y(robot.north_m);
+    const lost = !robot.link_up || robot.pose_age_s > model.hello.pose_timeout_s;
+    pen.save();
+    pen.translate(x, y);
+    if (robot.call || lost) {
+      pen.beginPath(); pen.arc(0, 0, 15, 0, 7); pen.strokeStyle = css.bad; pen.lineWidth = 2.5; pen.stroke();
+    }
+    pen.rotate(((robot.heading_deg ?? 0) * Math.PI) / 180);
+    pen.beginPath(); pen.moveTo(0, -11); pen.lineTo(8, 8); pen.lineTo(0, 4); pen.lineTo(-8, 8); pen.closePath();
+    pen.fillStyle = colourOf(robot.name); pen.globalAlpha = lost ? 0.45 : 1; pen.fill();
+    pen.strokeStyle = css.map; pen.lineWidth = 1.5; pen.stroke();
+    pen.restore();
+    pen.textAlign = "center"; pen.textBaseline = "top";
+    halo(robot.name, x, y + 12, lost || robot.call ? css.bad : css.text);
+  }
+}
+
+function drawArea() {
+  if (!area.drawing) return;
+  const points = pointer ? [...corners, pointer] : corners;
+  if (!points.length) return;
+  path(points, points.length > 2);
+  pen.fillStyle = css.bad; pen.globalAlpha = 0.18; pen.fill(); pen.globalAlpha = 1;
+  pen.strokeStyle = css.bad; pen.lineWidth = 2; pen.stroke();
+  for (const [east, north] of corners) { pen.beginPath(); pen.arc(X(east), Y(north), 4, 0, 7); pen.fillStyle = css.bad; pen.fill(); }
+}
+
+export function draw() {
+  if (!model.hello || canvas.clientWidth === 0) return;
+  fit();
+  const layer = document.querySelector("#layers input:checked").value;
+  drawGround(model.hello.field, layer);
+  const frame = model.frame;
+  if (frame) {
+    drawAreas(frame.areas_m);
+    drawTracks(frame);
+    drawSources(frame);
+    drawHearing(frame);
+    drawRobots(frame);
+  }
+  drawArea();
+  const grid = model.grids[layer];
+  document.getElementById("legend").textContent = !grid ? "" : layer === "belief"
+    ? `a source is in the cell: up to ${grid.largest.toPrecision(2)}`
+    : "a source there would have been heard";
+}
+
+canvas.addEventListener("pointerdown", (event) => { if (area.drawing && view) corners.push(toMetres(event).map((v) => +v.toFixed(2))); });
+canvas.addEventListener("pointermove", (event) => { pointer = area.drawing && view ? toMetres(event) : null; });

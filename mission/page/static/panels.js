@@ -1,0 +1,161 @@
+// Robots, sources, signals and events in words. Cards are made once and then only filled anew, so that a press on a
+// button never falls between two of them.
+import { colourOf, model } from "./model.js";
+import { press } from "./commands.js";
+
+const $ = (id) => document.getElementById(id);
+const made = { robots: new Map(), sources: new Map() };
+
+export function element(tag, properties = {}, ...children) {
+  const node = Object.assign(document.createElement(tag), properties);
+  node.append(...children);
+  return node;
+}
+export function clock(seconds) {
+  const s = Math.max(0, Math.floor(seconds));
+  const two = (n) => String(n).padStart(2, "0");
+  return s >= 3600 ? `${Math.floor(s / 3600)}:${two(Math.floor(s / 60) % 60)}:${two(s % 60)}` : `${Math.floor(s / 60)}:${two(s % 60)}`;
+}
+function set(node, text, kind) {
+  if (node.textContent !== text) node.textContent = text;
+  if (kind !== undefined && node.className !== kind) node.className = kind;
+}
+
+const FIGURES = [
+  ["battery", "battery"], ["fence", "to the fence"], ["link", "link"], ["pose", "position"],
+];
+
+function makeCard(name) {
+  const part = {
+    mode: element("span", { className: "mode" }), doing: element("span", { className: "doing" }),
+    call: element("p", { className: "call", hidden: true }), last: element("p", { className: "last" }),
+  };
+  const figures = element("dl", { className: "figures" });
+  for (const [key, words] of FIGURES) {
+    part[key] = element("dd", { className: "" });
+    figures.append(element("div", {}, element("dt", { textContent: words }), part[key]));
+  }
+  const acts = element("div", { className: "acts" });
+  for (const [action, words] of [["hold", "Hold"], ["return", "Return"], ["release", "Release"], ["resume", "Resume"]]) {
+    const button = element("button", { textContent: words, className: action === "hold" ? "act hold-one" : "act" });
+    button.dataset.action = action;
+    button.dataset.robot = name;
+    button.addEventListener("click", () => press(button, action, { robot: name }, action === "release"));
+    acts.append(button);
+    part[action] = button;
+  }
+  const dot = element("span", { className: "dot" });
+  dot.style.background = colourOf(name);
+  const head = element("div", { className: "head" }, dot, element("span", { className: "name", textContent: name }), part.mode, part.doing);
+  part.card = element("article", { className: "card" }, head, part.call, figures, part.last, acts);
+  part.card.dataset.robot = name;
+  return part;
+}
+
+function fillCard(part, robot) {
+  const lost = !robot.link_up;
+  const standing = robot.ordered === "release" ? "released" : robot.ordered === "withdraw" ? "withdrawn" : "";
+  set(part.mode, lost ? "link lost" : standing || robot.mode, `mode ${lost ? "lost" : robot.mode}`);
+  set(part.doing, robot.radio_up ? robot.doing : "radio down");
+  part.doing.classList.toggle("bad", !robot.radio_up);
+  set(part.call, robot.call);
+  part.call.hidden = !robot.call;
+  const low = robot.battery_pct !== null && robot.battery_pct <= robot.reserve_pct + 10;
+  set(part.battery, robot.battery_pct === null ? "–" : `${Math.round(robot.battery_pct)} / ${Math.round(robot.reserve_pct)} %`,
+    robot.battery_pct !== null && robot.battery_pct <= robot.reserve_pct ? "bad" : low ? "warn" : "");
+  set(part.fence, robot.fence_m === null ? "–" : `${robot.fence_m.toFixed(1)} m`, robot.fence_m !== null && robot.fence_m < 0 ? "bad" : "");
+  set(part.link, age(robot.link_age_s), robot.link_age_s > 5 ? "bad" : robot.link_age_s > 2 ? "warn" : "");
+  set(part.pose, age(robot.pose_age_s), robot.pose_age_s > model.hello.pose_timeout_s ? "bad" : "");
+  const answer = robot.answer === "done" ? "✓" : robot.answer === "..." ? "…" : robot.answer ? `✗ ${robot.answer}` : "";
+  const words = [robot.command && `${robot.command} ${robot.why}`, answer].filter(Boolean).join(" ");
+  set(part.last, [words, robot.text].filter(Boolean).join("  ·  "));
+  for (const action of ["hold", "return", "release", "resume"]) part[action].disabled = !model.mayCommand;
+}
+const age = (seconds) => (seconds === null ? "–" : seconds < 1 ? "now" : `${seconds.toFixed(seconds < 10 ? 1 : 0)} s ago`);
+
+function robots(frame) {
+  const box = $("robots").querySelector(".cards");
+  for (const robot of frame.robots) {
+    let part = made.robots.get(robot.name);
+    if (!part) { part = makeCard(robot.name); made.robots.set(robot.name, part); box.append(part.card); }
+    fillCard(part, robot);
+  }
+}
+
+function makeSource(ident) {
+  const part = {
+    ident: element("span", { textContent: ident }), where: element("span", { className: "where" }),
+    p: element("span", { className: "p" }), more: element("span", { className: "more" }),
+    button: element("button", { className: "act", textContent: "Mark as removed" }),
+  };
+  part.button.dataset.action = "remove";
+  part.button.dataset.source = ident;
+  part.button.addEventListener("click", () => press(part.button, "remove", { source: ident }, true));
+  const acts = element("div", { className: "acts" }, part.button);
+  part.row = element("div", { className: "source" }, part.ident, element("div", {}, part.where, element("br"), part.more), part.p, acts);
+  return part;
+}
+
+function sources(frame) {
+  const box = $("sources").querySelector(".rows");
+  const rank = { found: 0, candidate: 1, doubtful: 2, removed: 3 };
+  const shown = [...frame.sources].sort((a, b) => rank[a.state] - rank[b.state] || b.p - a.p).slice(0, 30);
+  const now = new Set(shown.map((source) => source.ident));
+  for (const [ident, part] of made.sources) if (!now.has(ident)) { part.row.remove(); made.sources.delete(ident); }
+  shown.forEach((source, index) => {
+    let part = made.sources.get(source.ident);
+    if (!part) { part = makeSource(source.ident); made.sources.set(source.ident, part); }
+    if (box.children[index] !== part.row) box.insertBefore(part.row, box.children[index] ?? null);
+    set(part.ident, String(source.ident), `ident ${source.state}`);
+    set(part.where, `${source.east_m.toFixed(1)} m E, ${source.north_m.toFixed(1)} m N`);
+    set(part.p, `${Math.round(100 * source.p)} %`, `p ${source.state}`);
+    const spread = source.half_axes_m[0] === null ? "" : `90 % within ${source.half_axes_m[0].toFixed(1)} m`;
+    set(part.more, [source.state, spread, `heard ${source.receptions.toFixed(0)} ×`, source.note].filter(Boolean).join(" · "));
+    part.button.parentElement.hidden = source.state === "removed" || source.state === "candidate";
+    part.button.disabled = !model.mayCommand;
+  });
+  let empty = box.querySelector(".empty");
+  if (!shown.length && !empty) box.append(element("p", { className: "empty", textContent: "Nothing heard enough yet." }));
+  if (shown.length && empty) empty.remove();
+}
+
+function signals() {
+  const box = $("signals").querySelector(".rows");
+  const rows = model.detections.slice(-40).reverse().map((heard) => {
+    const bars = element("div", { className: "bars" });
+    for (const [name, dbm] of Object.entries(heard.heard_dbm)) {
+      const meter = element("meter", { min: -100, max: -30, value: dbm });
+      const level = element("span", { className: "level" }, element("span", { textContent: name }), meter, `${Math.round(dbm)} dBm`);
+      level.firstChild.style.color = colourOf(name);
+      bars.append(level);
+    }
+    return element("div", { className: "signal" }, element("time", { textContent: clock(heard.t_s) }), bars);
+  });
+  box.replaceChildren(...(rows.length ? rows : [element("p", { className: "empty", textContent: "Nothing heard yet." })]));
+}
+
+function events() {
+  const rows = model.notes.slice(-100).reverse().map((note) => {
+    const find = note.text.startsWith("found source") ? " find" : "";
+    return element("li", { className: `event ${note.level}${find}` }, element("time", { textContent: clock(note.t_s) }), element("span", { textContent: note.text }));
+  });
+  const empty = element("li", { className: "empty", textContent: "Nothing to tell yet." });
+  $("events").querySelector(".rows").replaceChildren(...(rows.length ? rows : [empty]));
+}
+
+let shown = { detections: null, notes: null };
+export function fill() {
+  const frame = model.frame;
+  if (!frame || !model.hello) return;
+  robots(frame);
+  sources(frame);
+  const marks = { detections: model.detections.at(-1), notes: model.notes.at(-1) };
+  if (marks.detections !== shown.detections || !shown.detections) signals();
+  if (marks.notes !== shown.notes || !shown.notes) events();
+  shown = marks;
+  set($("clock"), clock(frame.t_s));
+  set($("found"), String(frame.sources.filter((s) => s.state === "found" || s.state === "removed").length));
+  set($("candidates"), String(frame.sources.filter((s) => s.state === "candidate" || s.state === "doubtful").length));
+  set($("detections"), String(frame.detections));
+  set($("left"), `${Math.round(100 * frame.left)} %`);
+}
