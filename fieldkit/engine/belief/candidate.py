@@ -5,6 +5,7 @@ integrated out: with prior Gamma(a, b) and exposure E, n receptions weigh (b + E
 become impossible are dropped, so a candidate that sharpens becomes cheap.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -67,7 +68,8 @@ class Candidate:
 
     @property
     def receptions(self) -> float:
-        return self.absorbed + sum(self.share.values())
+        # Python's own sum rounds differently from 3.12 on; a replay must not.
+        return self.absorbed + math.fsum(self.share.values())
 
     def log_posterior(self) -> FloatArray:
         """(h, n), not normalised."""

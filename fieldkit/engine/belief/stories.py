@@ -5,6 +5,7 @@ sources together: sweeps alone do not get out of that.
 """
 
 import copy
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -188,7 +189,7 @@ def _divide(
 
 def _score(story: list[Candidate], share: dict[int, float]) -> float:
     """Lower bound of the log evidence of a story that shares out the same detections."""
-    total = sum(candidate.log_evidence() for candidate in story)
+    total = math.fsum(candidate.log_evidence() for candidate in story)
     for number, part in share.items():
         parts = np.array([candidate.share.get(number, 0.0) for candidate in story]) / part
         total -= part * float((parts * np.log(np.maximum(parts, 1e-12))).sum())
