@@ -73,8 +73,13 @@ def demo(
 
 
 def run(
-    mission_file: Annotated[Path, typer.Argument(metavar="MISSION.TOML", help="The mission file.")],
+    mission_file: Annotated[
+        Path | None, typer.Argument(metavar="MISSION.TOML", help="The mission file; not with --resume.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
+    resume: Annotated[
+        Path | None, typer.Option(metavar="LOG", help="Go on with the mission of an interrupted recording.")
+    ] = None,
     override: Annotated[
         str, typer.Option(help="Why it may start although a vehicle's check is red; goes into the recording.")
     ] = "",
@@ -87,18 +92,29 @@ def run(
 
     Enter holds all vehicles, Ctrl-C holds them and closes the recording.
 
+    --resume goes on after a crash or power cut: the same belief, the vehicles adopted, nothing re-armed unasked.
+
     Example: fieldkit run mission.toml
     """
+    from fieldkit.errors import ConfigError
     from fieldkit.files import write_whole
+    from fieldkit.recording.reader import open_recording
     from mission import rigs
     from mission.analysis.report import write_report
     from mission.config import read_mission
     from mission.console import Watch, sources_table
     from mission.demo import fly
+    from mission.replay import resumable
     from mission.replaying import plain_source
     from mission.warm import warm_up
 
-    mission = read_mission(mission_file)
+    past = None if resume is None else open_recording(resume)
+    if (past is None) == (mission_file is None):
+        raise ConfigError("expected either a mission file or --resume with a recording, which holds its own")
+    if past is not None:
+        mission = resumable(past)
+    elif mission_file is not None:
+        mission = read_mission(mission_file)
     rig = rigs.live(mission)
     warm_up(mission)
     folder = _run_folder(out)
@@ -109,7 +125,9 @@ def run(
         _page(mission, page, page_host, page_port) as shown,
         Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
     ):
-        runner = fly(mission, rig, folder / "mission.mcap", watch.show, page=shown, override=override)
+        runner = fly(
+            mission, rig, folder / "mission.mcap", watch.show, page=shown, override=override, past=past
+        )
     write_report(folder / "mission.mcap", folder / "report.html")
     finds = [plain_source(source) for source in runner.kernel.sources()]
     if as_json:

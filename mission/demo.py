@@ -19,6 +19,7 @@ import numpy as np
 from fieldkit.errors import ConfigError, DataError
 from fieldkit.files import write_whole
 from fieldkit.geo import FieldFrame
+from fieldkit.recording.reader import Recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.sources import TransientSource, random_sources
 from mission import rigs
@@ -144,8 +145,12 @@ def fly(
     extra: dict[str, Any] | None = None,
     page: "LivePage | None" = None,
     override: str = "",
+    past: Recording | None = None,
 ) -> Runner:
-    """Run a mission on a rig with a recording; the runner, ended. The recording is closed whatever happens."""
+    """Run a mission on a rig with a recording; the runner, ended. The recording is closed whatever happens.
+
+    With `past`, the recording of a mission that was interrupted, it goes on from there; the new recording holds all.
+    """
     metadata: dict[str, Any] = {"mission": mission.file.name, "seed": mission.file.seed, **(extra or {})}
     if truth:
         metadata["truth"] = [
@@ -159,10 +164,13 @@ def fly(
         antenna_toml=mission.antenna_text,
         metadata=metadata,
         frame=frame,
-        start_ns=rig.clock.now_ns(),
+        start_ns=rig.clock.now_ns() if past is None else 0,
     ) as recorder:
         followers = () if page is None else (page.follower,)
         runner = Runner(mission, rig, recorder, on_progress, followers, override)
+
+        if past is not None:
+            runner.relive(past.steps())
 
         async def run() -> None:
             if page is not None:

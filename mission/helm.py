@@ -82,11 +82,10 @@ class Helm:
             for link in self._links:
                 link.beat()
 
-    async def take_over(self, *, arm: bool = True) -> None:
-        """Make every vehicle ours. Raises what the first one that refuses raises."""
-        async with asyncio.TaskGroup() as group:
-            for robot, link in self.link_of.items():
-                group.create_task(link.take_over(robot, arm=arm))
+    async def take_over(self, robots: Iterable[str] | None = None) -> None:
+        """Make vehicles ours and have them armed; None: all of them. Raises what one that refuses raises."""
+        names = list(self.link_of if robots is None else robots)
+        await asyncio.gather(*(self.link_of[name].take_over(name) for name in names))
 
     async def hold_all(self, reason: str) -> None:
         """Tell every vehicle to hold, all at once; those that do not answer are named."""

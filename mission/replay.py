@@ -57,6 +57,15 @@ def recorded_mission(
     return assemble(file, recording.mission_toml, antenna, antenna_text, where)
 
 
+def resumable(recording: Recording) -> Mission:
+    """The mission of an interrupted recording. Raises `RecordingError` where there is nothing to go on with."""
+    if (result := recording.result()) is not None:
+        raise RecordingError(
+            f"{recording.path}: that mission is over ({result.get('end_reason', 'ended')}); nothing to resume"
+        )
+    return recorded_mission(recording)
+
+
 def same_antenna(recording: Recording, mission: Mission, given: Path) -> None:
     """Raise `DataError` where an antenna file is not the one the mission was flown with, naming what differs."""
     flown = asdict(recorded_mission(recording).antenna.antenna)
@@ -126,30 +135,24 @@ def replay(
 class _Expected:
     """Compares what each event led to with what the recording says.
 
-    In a recording that is not whole, only up to the first gap, and not the last event: beyond, nothing is known.
+    In a recording that is not whole, only up to the first gap and to the last event whose consequences are there.
     """
 
     def __init__(self, recording: Recording) -> None:
         self.path = recording.path
         self.compared = 0
         self._whole = recording.complete
-        self._waiting: tuple[Step, list[tuple[str, Command]], str] | None = None
-        self._next = 0
+        self._next: int | None = None
         self._lost = False
         self._result: dict[str, Any] | None = recording.result()
 
     def compare(self, step: Step, given: list[tuple[str, Command]], kernel: Kernel) -> None:
         """Raise `ReplayMismatch` where this event led to something else than recorded."""
-        digest = kernel.digest() if step.digest else ""
-        if self._whole:
-            self._check(step, given, digest)
-            return
-        # What an event led to stands behind it: it is all there only where the next event is there too.
-        if self._waiting is not None and step.inbox_number != self._next:
+        if self._next is not None and step.inbox_number != self._next and not self._whole:
             self._lost = True
-        elif self._waiting is not None and not self._lost:
-            self._check(*self._waiting)
-        self._waiting, self._next = (step, given, digest), step.inbox_number + 1
+        self._next = step.inbox_number + 1
+        if step.known and not self._lost:
+            self._check(step, given, kernel.digest() if step.digest else "")
 
     def _check(self, step: Step, given: list[tuple[str, Command]], digest: str) -> None:
         where = f"event {step.inbox_number} ({type(step.event).__name__} at {step.event.t_ns} ns)"

@@ -14,12 +14,20 @@ import asyncio
 import contextlib
 import logging
 import signal
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-from fieldkit.errors import DeviceError, DeviceTimeout, FieldkitError, VehicleRefused
+from fieldkit.errors import (
+    ConfigError,
+    DeviceError,
+    DeviceTimeout,
+    FieldkitError,
+    RecordingError,
+    ReplayMismatch,
+    VehicleRefused,
+)
 from fieldkit.messages import (
     CallOperator,
     Command,
@@ -33,6 +41,7 @@ from fieldkit.messages import (
     VehicleState,
 )
 from fieldkit.ports import PositionSource, Receiver, VehicleLink
+from fieldkit.recording.reader import Step
 from fieldkit.recording.writer import RecordingWriter
 from mission.config import Mission
 from mission.helm import RELEASE, TAKE_OVER, Helm
@@ -81,8 +90,9 @@ class Runner:
     def __post_init__(self) -> None:
         self.kernel = Kernel(self.mission.kernel)
         self.safety = Safety(self.mission.safety)
-        self._inbox: asyncio.Queue[tuple[int, Event]] = asyncio.Queue()
+        self._inbox: asyncio.Queue[tuple[int, int, Event]] = asyncio.Queue()
         self._number = 0
+        self._stepped = 0
         self._tick_waits = False
         self.journal = Journal(
             self.kernel, self.mission.kernel.engine.grid.cell_m, self.recorder, *self.followers
@@ -91,6 +101,8 @@ class Runner:
         self._placed = {robot for source in self.rig.positions for robot in source.robots}
         self._doing: dict[str, str] = {}
         self._steered = False
+        self._resumed_ns = 0
+        """When the last event of an interrupted mission came; 0: this one begins."""
 
     async def run(self) -> str:
         """Fly the mission to its end; why it ended. Raises what a device raises before the start."""
@@ -119,6 +131,8 @@ class Runner:
             tasks += self.helm.tasks()
             stack.push_async_callback(_cancel, tasks)
             stack.push_async_callback(self._leave)
+            if self._resumed_ns:
+                self._interrupted()
             tasks.append(asyncio.create_task(self._start(), name="start"))
             with self._interruptible():
                 while not self.end_reason:
@@ -131,8 +145,7 @@ class Runner:
                             raise error
                     if get not in done:
                         await asyncio.wait({get})
-                    t_ns, event = get.result()
-                    await self._step(t_ns, event, pool)
+                    await self._step(*get.result(), pool)
             await self._finish(clock.now_ns())
         return self.end_reason
 
@@ -142,7 +155,11 @@ class Runner:
         """Into the inbox, stamped with the time it arrives there. A hold by the operator goes out at once."""
         if isinstance(event, Operator) and event.action == "hold":
             self.helm.freeze(self._meant(event), event.t_ns, event.reason or "operator: hold")
-        self._inbox.put_nowait((self.rig.clock.now_ns(), event))
+        t_ns = self.rig.clock.now_ns()
+        self._number += 1
+        # At once: what waits here while the kernel is busy must survive a kill as well.
+        self.journal.event(self._number, t_ns, event)
+        self._inbox.put_nowait((self._number, t_ns, event))
 
     def _meant(self, event: Operator) -> list[str]:
         return [robot for robot in self.helm.link_of if event.robot in (None, robot)]
@@ -221,29 +238,71 @@ class Runner:
 
     # -- the step --------------------------------------------------------------------------------------------
 
-    async def _step(self, t_ns: int, event: Event, pool: ThreadPoolExecutor) -> None:
-        self._number += 1
-        number = self._number
-        self.journal.event(number, t_ns, event)
+    async def _step(self, number: int, t_ns: int, event: Event, pool: ThreadPoolExecutor) -> None:
+        self._stepped = number
         if isinstance(event, Tick):
             self._tick_waits = False
             self.helm.beat()
             outcome = await self._think(event, pool)
         else:
             outcome = self.kernel.step(event)
-        for command in self.safety.observe(event):
-            self._carry_out(number, t_ns, command)
-        judged = self.safety.judge(outcome.commands)
-        for asked, allowed in zip(outcome.commands, judged, strict=True):
-            self.journal.command(number, t_ns, asked, "kernel")
-            self._carry_out(number, t_ns, allowed)
+        for command in self._judge(number, t_ns, event, outcome):
+            self._carry_out(command)
         if isinstance(event, Operator):
             self._obey_operator(event)
+        if isinstance(event, Tick) or outcome.notes:
+            self._show(t_ns, outcome)
+
+    def _judge(self, number: int, t_ns: int, event: Event, outcome: Outcome) -> list[Command]:
+        """What is to be carried out, all of it written down."""
+        commands = self.safety.observe(event)
+        for command in commands:
+            self.journal.command(number, t_ns, command, "safety")
+        for asked, allowed in zip(outcome.commands, self.safety.judge(outcome.commands), strict=True):
+            self.journal.command(number, t_ns, asked, "kernel")
+            self.journal.command(number, t_ns, allowed, "safety")
+            commands.append(allowed)
         self.journal.outcome(number, t_ns, outcome)
         if outcome.plan is not None:
             self._doing.update(outcome.plan.purpose)
-        if isinstance(event, Tick) or outcome.notes:
-            self._show(t_ns, outcome)
+        return commands
+
+    def relive(self, past: Iterable[Step]) -> None:
+        """Go through what an interrupted mission has recorded, into the new recording, without moving anything.
+
+        Raises `ReplayMismatch` where the belief comes out differently, `RecordingError` where events are missing.
+        """
+        for step in past:
+            self._number += 1
+            if step.inbox_number != self._number:
+                raise RecordingError(
+                    f"event {self._number} is missing from the recording (the next is {step.inbox_number}): "
+                    "it cannot be resumed; start anew"
+                )
+            self.journal.event(self._number, step.log_time_ns, step.event)
+            outcome = self.kernel.step(step.event)
+            self._judge(self._number, step.log_time_ns, step.event, outcome)
+            if step.digest and step.digest != self.kernel.digest():
+                raise ReplayMismatch(
+                    f"after event {self._number} the belief differs from the recorded one; was the recording "
+                    "made by another version of fieldkit?"
+                )
+            self._resumed_ns = step.log_time_ns
+
+    def _interrupted(self) -> None:
+        """The time between: nobody listened, and whoever was called for is still needed."""
+        now_ns = self.rig.clock.now_ns()
+        if self._resumed_ns > now_ns:
+            raise ConfigError(
+                "this computer's clock is behind the recording's end: set it before resuming the mission"
+            )
+        self._note("info", f"resumed after {(now_ns - self._resumed_ns) * 1e-9:.1f} s")
+        for receiver in self.rig.receivers:
+            self.put(ReceiverState(self._resumed_ns, receiver.robot, False, "the mission was interrupted"))
+            self.put(ReceiverState(now_ns, receiver.robot, True, "the mission goes on"))
+        for name, robot in self.safety.robots.items():
+            if robot.called and not robot.ordered:
+                self.put(Operator(now_ns, "withdraw", name, "called for before the interruption"))
 
     async def _think(self, tick: Tick, pool: ThreadPoolExecutor) -> Outcome:
         """Off the loop: a long look at the belief must not delay the drivers. A too long one holds everybody."""
@@ -270,8 +329,7 @@ class Runner:
             elif event.action == "release":
                 self.helm.order(robot, RELEASE)
 
-    def _carry_out(self, number: int, t_ns: int, command: Command) -> None:
-        self.journal.command(number, t_ns, command, "safety")
+    def _carry_out(self, command: Command) -> None:
         if isinstance(command, EndMission):
             self.end_reason = command.reason
             return
@@ -301,7 +359,11 @@ class Runner:
         """Make every vehicle ours once it is heard and its position known."""
         deadline_s = self.rig.clock.elapsed_s() + READY_TIMEOUT_S
         while missing := [
-            name for name, robot in self.kernel.robots.items() if robot.pose is None or robot.vehicle is None
+            name
+            for name, robot in self.kernel.robots.items()
+            if robot.pose is None
+            or robot.vehicle is None
+            or min(robot.pose.t_ns, robot.vehicle.t_ns) <= self._resumed_ns
         ]:
             if self.rig.clock.elapsed_s() > deadline_s:
                 raise DeviceTimeout(
@@ -312,7 +374,19 @@ class Runner:
             await self.rig.clock.sleep(0.2)
         await self._inspect()
         self._steered = True
-        await self.helm.take_over()
+        if not self._resumed_ns:
+            await self.helm.take_over()
+            return
+        # What was armed is adopted; what is not, or stands under an order, waits for the operator.
+        orders = {name: robot.ordered for name, robot in self.safety.robots.items()}
+        disarmed = {
+            name
+            for name, robot in self.kernel.robots.items()
+            if robot.vehicle is not None and not robot.vehicle.armed
+        }
+        await self.helm.take_over([name for name in orders if not orders[name] and name not in disarmed])
+        for name in disarmed:
+            self.put(Operator(self.rig.clock.now_ns(), "withdraw", name, "it is disarmed"))
 
     async def _inspect(self) -> None:
         """Vehicles that would not stop by themselves, or are unfit otherwise, keep the mission from starting."""
@@ -342,8 +416,8 @@ class Runner:
             await self.helm.hold_all("the mission is over")
 
     async def _finish(self, t_ns: int) -> None:
-        self.journal.end(self._number, t_ns)
-        self.recorder.result(self._number, t_ns, self.result())
+        self.journal.end(self._stepped, t_ns)
+        self.recorder.result(self._stepped, t_ns, self.result())
 
     def result(self) -> dict[str, Any]:
         """How it ended, with the digests a replay must reproduce."""
@@ -352,7 +426,7 @@ class Runner:
             "belief_hash": self.kernel.digest(),
             "commands_hash": self.kernel.commands_digest(),
             "state_hash": state_digest(self.kernel),
-            "events": self._number,
+            "events": self._stepped,
             "detections": self.kernel.detections,
             "found_at_s": {str(ident): at_s for ident, at_s in self.kernel.found_at_s.items()},
             "interventions": self.safety.interventions,

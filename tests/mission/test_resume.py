@@ -1,0 +1,137 @@
+"""After a kill: the same belief as if nothing had happened, vehicles adopted, nothing armed that was not."""
+
+import asyncio
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from fieldkit.clock import ScaledClock
+from fieldkit.errors import RecordingError
+from fieldkit.messages import GoTo, Operator, ReceiverState
+from fieldkit.recording.reader import open_recording
+from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.fakes import FakeFleet, FakeReceiver
+from fieldkit.world.rover import Rover
+from mission.config import Mission
+from mission.replay import replay, resumable
+from mission.rigs import Rig, start_places
+from mission.runner import Runner
+from mission.synthetic import small_mission
+
+
+class Scene:
+    """Robots and radios that outlive the runner."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.mission: Mission = small_mission(folder, duration_s=60.0)
+        self.clock = ScaledClock(20.0)
+        rovers = {name: Rover(*place) for name, place in start_places(self.mission).items()}
+        self.fleet = FakeFleet(rovers, self.clock)
+        self.radios = [FakeReceiver(name, self.clock) for name in rovers]
+
+    def rig(self) -> Rig:
+        return Rig(self.clock, tuple(self.radios), (self.fleet,))
+
+    async def noise(self) -> None:
+        for k in range(100):
+            await self.clock.sleep(2.0)
+            for radio in self.radios[: 1 + k % 3]:
+                radio.hear(-63.0 - k % 5)
+
+    def killed(self, after_s: float = 30.0, before_kill: Callable[[Runner], None] = lambda _: None) -> Path:
+        """Run, and keep the file as a kill at this moment would leave it."""
+        left = self.folder / "left.mcap"
+
+        async def go(runner: Runner) -> None:
+            running = asyncio.create_task(runner.run())
+            noise = asyncio.create_task(self.noise())
+            await self.clock.sleep(after_s)
+            before_kill(runner)
+            await self.clock.sleep(2.0)
+            shutil.copy(self.folder / "first.mcap", left)
+            for task in (running, noise):
+                task.cancel()
+            await asyncio.wait({running, noise})
+
+        with self.recorder("first.mcap") as recorder:
+            asyncio.run(go(Runner(self.mission, self.rig(), recorder)))
+        return left
+
+    def recorder(self, name: str) -> RecordingWriter:
+        return RecordingWriter(
+            self.folder / name, mission_toml=self.mission.text, antenna_toml=self.mission.antenna_text
+        )
+
+    def resumed(self, left: Path) -> tuple[Runner, str]:
+        """Resume and fly to the end; the runner, and the belief it began with."""
+        past = open_recording(left)
+        assert not past.complete
+        with self.recorder("second.mcap") as recorder:
+            runner = Runner(resumable(past), self.rig(), recorder)
+            runner.relive(past.steps())
+            begun = runner.kernel.digest()
+            asyncio.run(runner.run())
+        return runner, begun
+
+
+def test_the_belief_is_the_same_and_the_new_recording_holds_everything(tmp_path: Path) -> None:
+    scene = Scene(tmp_path)
+    left = scene.killed()
+    whole = replay(tmp_path / "first.mcap", check=False, until_s=replay(left).duration_s)
+    runner, begun = scene.resumed(left)
+    assert begun == whole.kernel.digest()
+    assert runner.kernel.detections >= whole.kernel.detections > 0
+    done = replay(tmp_path / "second.mcap")
+    assert done.complete and done.kernel.digest() == runner.kernel.digest()
+    events = [event for _, _, event in open_recording(tmp_path / "second.mcap").events()]
+    before = [event for _, _, event in open_recording(left).events()]
+    assert events[: len(before)] == before
+    assert isinstance(events[len(before)], ReceiverState) and not events[len(before)].up  # type: ignore[union-attr]
+
+
+def test_robots_go_on_after_being_adopted(tmp_path: Path) -> None:
+    scene = Scene(tmp_path)
+    left = scene.killed()
+    count = len(list(open_recording(left).commands()))
+    scene.resumed(left)
+    after = list(open_recording(tmp_path / "second.mcap").commands())[count:]
+    assert {c.robot for *_, origin, c in after if isinstance(c, GoTo) and origin == "safety"}
+
+
+def test_what_is_disarmed_or_held_stays_so_until_the_operator_says_otherwise(tmp_path: Path) -> None:
+    scene = Scene(tmp_path)
+    left = scene.killed(
+        before_kill=lambda runner: runner.put(Operator(runner.rig.clock.now_ns(), "hold", "r2"))
+    )
+    count = len(list(open_recording(left).commands()))
+    scene.fleet._armed["r1"] = False
+    scene.resumed(left)
+    assert not scene.fleet._armed["r1"], "nothing is armed unasked"
+    after = list(open_recording(tmp_path / "second.mcap").commands())[count:]
+    sent = {c.robot for *_, origin, c in after if isinstance(c, GoTo) and origin == "safety"}
+    assert sent == {"r3", "r4"}
+
+
+def test_a_mission_that_is_over_is_not_resumed(tmp_path: Path) -> None:
+    scene = Scene(tmp_path)
+    with scene.recorder("first.mcap") as recorder:
+        runner = Runner(scene.mission, scene.rig(), recorder)
+
+        async def go() -> None:
+            runner.put(Operator(scene.clock.now_ns(), "end"))
+            await runner.run()
+
+        asyncio.run(go())
+    with pytest.raises(RecordingError, match="is over"):
+        resumable(open_recording(tmp_path / "first.mcap"))
+
+
+def test_a_recording_with_a_hole_is_refused(tmp_path: Path) -> None:
+    scene = Scene(tmp_path)
+    left = scene.killed(after_s=10.0)
+    steps = list(open_recording(left).steps())
+    with scene.recorder("second.mcap") as recorder, pytest.raises(RecordingError, match="event 6 is missing"):
+        Runner(scene.mission, scene.rig(), recorder).relive(steps[:5] + steps[6:])
