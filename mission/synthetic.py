@@ -11,6 +11,7 @@ from fieldkit.messages import Command, Event
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.sources import TransientSource, random_sources
 from mission.config import Mission, read_mission
+from mission.journal import Journal
 from mission.kernel import Kernel, Outcome, state_digest
 from mission.rigs import start_places
 from mission.safety import Safety
@@ -75,47 +76,41 @@ def record_simulated(
     path = folder / "mission.mcap"
     safety = Safety(mission.safety)
     number = 0
-    last_belief_ns = 0
+    journal: Journal | None = None
     with RecordingWriter(
         path,
         mission_toml=mission.text,
         antenna_toml=mission.antenna_text,
         metadata={
             "mission": "synthetic",
-            "truth": [{"east_m": s.east_m, "north_m": s.north_m} for s in sources],
+            "seed": seed,
+            "truth": [
+                {"east_m": s.east_m, "north_m": s.north_m, "power_db": s.power_db, "rate_hz": s.rate_hz}
+                for s in sources
+            ],
         },
         frame=mission.frame,
     ) as recorder:
 
         def note(kernel: Kernel, event: Event, outcome: Outcome) -> list[Command]:
-            nonlocal number, last_belief_ns
+            nonlocal number, journal
+            journal = journal or Journal(kernel, mission.kernel.engine.grid.cell_m, recorder)
             number += 1
-            recorder.event(number, event.t_ns, event)
+            journal.event(number, event.t_ns, event)
             allowed = safety.observe(event)
             for command in allowed:
-                recorder.command(number, event.t_ns, command, "safety")
+                journal.command(number, event.t_ns, command, "safety")
             for asked, passed in zip(outcome.commands, safety.judge(outcome.commands), strict=True):
-                recorder.command(number, event.t_ns, asked, "kernel")
-                recorder.command(number, event.t_ns, passed, "safety")
+                journal.command(number, event.t_ns, asked, "kernel")
+                journal.command(number, event.t_ns, passed, "safety")
                 allowed.append(passed)
-            for detection in outcome.detections:
-                recorder.detection(number, event.t_ns, detection)
-            if outcome.plan is not None:
-                recorder.plan(number, event.t_ns, outcome.plan)
-            if outcome.detections:
-                recorder.sources(number, event.t_ns, kernel.sources())
-                recorder.belief(number, event.t_ns, digest=kernel.digest())
-            if event.t_ns - last_belief_ns >= 10_000_000_000:
-                last_belief_ns = event.t_ns
-                left = kernel.belief.probability_left()
-                recorder.belief(
-                    number, event.t_ns, kernel.belief.presence(), cell_m=0.2, digest=kernel.digest(),
-                    numbers={"probability_left": left},
-                )  # fmt: skip
+            journal.outcome(number, event.t_ns, outcome)
             return allowed
 
         result = simulate(mission.kernel, truth, seed, on_step=note)
         end_ns = round(result.elapsed_s * 1e9)
+        assert journal is not None  # a mission has events
+        journal.end(number, end_ns)
         recorder.result(
             number,
             end_ns,
@@ -124,6 +119,10 @@ def record_simulated(
                 "belief_hash": result.kernel.digest(),
                 "commands_hash": result.kernel.commands_digest(),
                 "state_hash": state_digest(result.kernel),
+                "events": number,
+                "detections": result.kernel.detections,
+                "found_at_s": {str(ident): at_s for ident, at_s in result.kernel.found_at_s.items()},
+                "interventions": safety.interventions,
             },
         )
     return path

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message
 
 from fieldkit.errors import RecordingError
-from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate
+from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate, Tick
 from fieldkit.recording import codec
 from fieldkit.recording.records import NO_INDEX, Contents, is_whole, walk
 from fieldkit.recording.schema import BY_NAME, HEADER, SCHEMA, BeliefDigest, Note, Topic
@@ -54,6 +54,8 @@ class Step:
     """("kernel" or "safety", command), in their order."""
     digest: str = ""
     """The belief's hash after it, where one was recorded."""
+    known: bool = True
+    """Whether the recording goes on far enough to hold all that it led to."""
 
 
 @dataclass(slots=True)
@@ -98,19 +100,33 @@ class Recording:
             yield Item(topic.family, message.sequence, message.log_time, value, origin)
 
     def steps(self) -> Iterator[Step]:
-        """Each event with what it led to, in one pass: what replay feeds to the kernel and compares with."""
-        step: Step | None = None
-        for item in self.items("event", "command", "belief"):
-            if item.kind == "event":
-                if step is not None:
-                    yield step
-                step = Step(item.inbox_number, item.log_time_ns, item.value)
-            elif step is not None and item.inbox_number == step.inbox_number:
-                if item.kind == "command":
-                    step.commands.append((item.origin, item.value))
-                elif item.value.digest:
-                    step.digest = item.value.digest
-        if step is not None:
+        """Each event with what it led to: what replay feeds to the kernel and compares with.
+
+        What an event led to may stand well behind it: events are recorded as they arrive, also while the kernel is
+        busy. Events that came after the mission's end, which nobody stepped, are left out.
+        """
+        led: dict[int, Step] = {}
+        last: int | None = None
+        for item in self.items("command", "belief", "result"):
+            if item.kind == "result":
+                last = item.inbox_number
+                continue
+            step = led.setdefault(item.inbox_number, Step(item.inbox_number, 0, Tick(0)))
+            if item.kind == "command":
+                step.commands.append((item.origin, item.value))
+            elif item.value.digest:
+                step.digest = item.value.digest
+        # Nothing is known of what the last events led to, unless the mission came to its end.
+        known = max(led, default=0) - 1 if last is None else last
+        for item in self.items("event"):
+            if last is not None and item.inbox_number > last:
+                return
+            step = led.get(item.inbox_number) or Step(item.inbox_number, 0, item.value)
+            step.log_time_ns, step.event, step.known = (
+                item.log_time_ns,
+                item.value,
+                item.inbox_number <= known,
+            )
             yield step
 
     def events(self) -> Iterator[tuple[int, int, Event]]:

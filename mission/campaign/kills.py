@@ -148,8 +148,10 @@ def fly(folder: str, seed: int, rate: float) -> None:
     from mission import rigs
     from mission.runner import Runner
     from mission.synthetic import hidden_sources, small_mission
+    from mission.warm import warm_up
 
     mission = small_mission(Path(folder), seed=seed, duration_s=600.0, sources_found=99)
+    warm_up(mission)  # as every real mission does
     journal = os.open(Path(folder) / "journal", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
     class Journaled(RecordingWriter):
