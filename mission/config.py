@@ -110,6 +110,7 @@ class SafetyTable(_Table):
 
     fence_margin_m: float = Field(default=0.2, ge=0)
     max_speed_m_s: float = Field(default=0.4, gt=0)
+    max_turn_deg_s: float = Field(default=90.0, gt=0)
     max_leg_m: float = Field(default=1_000.0, gt=0)
     pose_timeout_s: float = Field(default=2.0, gt=0)
     min_separation_m: float = Field(default=0.5, ge=0)
@@ -342,6 +343,7 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         expected_sources=file.sources.expected,
         planning_period_s=file.engine.planning_period_s,
         max_speed_m_s=file.safety.max_speed_m_s,
+        max_turn_deg_s=file.safety.max_turn_deg_s,
         min_separation_m=file.safety.min_separation_m,
         fence_margin_m=file.safety.fence_margin_m,
         pose_sigma_m=file.engine.pose_sigma_m,
@@ -359,6 +361,8 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         max_pose_gap_s=file.association.max_pose_gap_s,
         max_duration_s=file.end.max_duration_s,
         deaf_limit_s=file.safety.radio_timeout_s,
+        battery_reserve_pct=file.safety.battery_reserve_pct,
+        battery_pct_per_m=file.safety.battery_pct_per_m,
         sources_expected=file.end.sources_found,
         stop_probability_left=file.end.probability_left,
     )

@@ -52,6 +52,10 @@ class KernelSettings:
     """End when the probability that a source is left falls below this."""
     deaf_limit_s: float = 10.0
     """A robot whose radio is down for longer is not planned for: its team goes on without it."""
+    battery_reserve_pct: float = 25.0
+    """What must be left when a robot is home again."""
+    battery_pct_per_m: float = 0.0
+    """What a metre costs; 0 where it is not known: then no path is too long."""
     idle_limit_s: float = 120.0
     """End when no robot could be steered for this long: somebody has to look."""
 
@@ -72,6 +76,8 @@ NOTHING = Outcome()
 @dataclass
 class _Robot:
     pose: Pose | None = None
+    home_m: tuple[float, float] | None = None
+    """Where it was first seen: where it has to come back to."""
     vehicle: VehicleState | None = None
     held: bool = False
     """Held by the operator until resumed."""
@@ -133,7 +139,8 @@ class Kernel:
             case Pose():
                 self.associator.pose(event)
                 if event.robot in self.robots:
-                    self.robots[event.robot].pose = event
+                    robot = self.robots[event.robot]
+                    robot.pose, robot.home_m = event, robot.home_m or (event.east_m, event.north_m)
                 outcome = NOTHING
             case ReceiverState():
                 self.associator.receiver(event)
@@ -317,11 +324,20 @@ class Kernel:
             team: Plan(now_ns, {r: p[e.leg :] for r, p in e.paths.items()})
             for team, e in self._errands.items()
         }
-        plan = self.planner.plan(Situation(now_ns, position, teams, busy), self.belief)
+        range_m = {name: left for name in position if (left := self._range_m(name)) is not None}
+        home_m = {name: robot.home_m for name, robot in self.robots.items() if robot.home_m is not None}
+        plan = self.planner.plan(Situation(now_ns, position, teams, busy, range_m, home_m), self.belief)
         for team in teams:
             paths = {robot: plan.paths.get(robot, ()) for robot in team}
             self._errands[team] = _Errand(paths)
         return plan
+
+    def _range_m(self, name: str) -> float | None:
+        """How far a robot can drive until its battery is at the reserve; None where that is not known."""
+        vehicle, cost = self.robots[name].vehicle, self.settings.battery_pct_per_m
+        if vehicle is None or vehicle.battery_pct is None or cost <= 0.0:
+            return None
+        return max(0.0, vehicle.battery_pct - self.settings.battery_reserve_pct) / cost
 
     def _follow(self, now_ns: int) -> list[Command]:
         """Send a team to its next way-points once all its robots have arrived, or it has taken too long."""

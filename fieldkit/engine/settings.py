@@ -27,6 +27,8 @@ class EngineSettings:
     """Prior mean of the number of sources in the whole field."""
     planning_period_s: float = 30.0
     max_speed_m_s: float = 0.4
+    max_turn_deg_s: float = 90.0
+    """How fast a robot turns on the spot at the corners of its path."""
     min_separation_m: float = 0.6
     """No two robots are planned closer than this."""
     fence_margin_m: float = 0.2
@@ -47,7 +49,13 @@ class EngineSettings:
         for name in ("found_probability",):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ConfigError(f"{name}: expected a number between 0 and 1, got {getattr(self, name)}")
-        for name in ("reference_rate_hz", "expected_sources", "planning_period_s", "max_speed_m_s"):
+        for name in (
+            "reference_rate_hz",
+            "expected_sources",
+            "planning_period_s",
+            "max_speed_m_s",
+            "max_turn_deg_s",
+        ):
             if not getattr(self, name) > 0.0:
                 raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)}")
 

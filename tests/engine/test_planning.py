@@ -82,6 +82,31 @@ def test_infogain_keeps_teams_apart() -> None:
         assert gaps.min() >= min(1.0, gaps[0].min()) - 1e-6
 
 
+def test_no_path_leads_further_than_the_battery_brings_a_robot_home_from() -> None:
+    engine = settings(pairs=1, sensing="levels")
+    place = {"r0": (12.0, 12.0), "r1": (13.0, 12.0)}
+    home = {"r0": (11.0, 12.0), "r1": (14.0, 12.0)}
+    for left_m in (9.0, 4.0):
+        near = Situation(0, place, engine.teams, {}, {"r0": left_m, "r1": 100.0}, home)
+        path = InfoGainPlanner(engine).plan(near, IntensityBelief(engine)).paths["r0"]
+        corners = np.array([place["r0"], *((w.east_m, w.north_m) for w in path)])
+        gone = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+        assert (gone + np.hypot(*(corners - home["r0"]).T)).max() <= left_m + 1e-9
+        assert len(path) > 0 or left_m < 5.0
+    empty = Situation(0, place, engine.teams, {}, {"r0": 0.5}, home)
+    plan = InfoGainPlanner(engine).plan(empty, IntensityBelief(engine))
+    assert plan.paths["r0"] == () and plan.purpose["r0"] == "wait"
+
+
+def test_a_team_waits_at_a_corner_for_its_slowest_turn() -> None:
+    places = np.array([[[4.0, 0.0]], [[4.0, 4.0]]])  # east, then a quarter turn to the north
+    at = track(places, np.array([[0.0, 0.0]]), 1.0, 1.0, 14.0, turn_deg_s=30.0)[:, 0]
+    assert at[3].tolist() == pytest.approx([3.5, 0.0])
+    assert at[4:7].tolist() == [pytest.approx([4.0, 0.0], abs=1e-6)] * 3
+    assert at[7].tolist() == pytest.approx([4.0, 0.5], abs=1e-6)
+    assert at[-1].tolist() == [4.0, 4.0]
+
+
 def test_infogain_refuses_a_belief_without_exposure() -> None:
     engine = settings()
     with pytest.raises(ConfigError, match="intensity"):

@@ -1,7 +1,7 @@
 """What every planner offers to the kernel, and how a team moves abreast."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Protocol
 
@@ -25,6 +25,10 @@ class Situation:
     """Teams to plan for, reduced to the robots that can be steered."""
     busy: Mapping[tuple[str, ...], Plan]
     """Teams that keep going, with the plan they follow: to be kept clear of."""
+    range_m: Mapping[str, float] = field(default_factory=dict)
+    """How far a robot can still drive, the way home included; robots not named can go anywhere."""
+    home_m: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Where those robots have to come back to."""
 
 
 class Planner(Protocol):
@@ -67,14 +71,43 @@ def waypoints(places_m: FloatArray, start_m: FloatArray, max_speed_m_s: float) -
 
 
 def track(
-    places_m: FloatArray, start_m: FloatArray, speed_m_s: float, step_s: float, horizon_s: float
+    places_m: FloatArray,
+    start_m: FloatArray,
+    speed_m_s: float,
+    step_s: float,
+    horizon_s: float,
+    turn_deg_s: float = np.inf,
 ) -> FloatArray:
-    """(steps, m, 2): where robots are every `step_s` until `horizon_s` on places (legs, m, 2); they wait at the end."""
+    """(steps, m, 2): where robots are every `step_s` until `horizon_s` on places (legs, m, 2); they wait at the end.
+
+    At a corner the team waits until its slowest robot has turned on the spot, at `turn_deg_s`.
+    """
     steps = max(1, int(horizon_s / step_s))
     corners = np.concatenate([start_m[None], places_m])
-    lengths = np.hypot(*(np.diff(corners, axis=0).transpose(2, 0, 1))).max(axis=1)
-    at_s = np.concatenate([[0.0], np.cumsum(lengths / speed_m_s + 1e-9)])
+    legs = np.diff(corners, axis=0)
+    lengths = np.hypot(legs[..., 0], legs[..., 1])
+    heading = np.arctan2(legs[..., 0], legs[..., 1])
+    turned = np.abs((np.diff(heading, axis=0) + np.pi) % (2.0 * np.pi) - np.pi)
+    turned[(lengths[1:] < 1e-6) | (lengths[:-1] < 1e-6)] = 0.0
+    turn_s = np.concatenate([[0.0], np.degrees(turned.max(axis=1)) / turn_deg_s])
+    drive_s = lengths.max(axis=1) / speed_m_s + 1e-9
+    at_s = np.concatenate([[0.0], np.cumsum(turn_s + drive_s)])
     t = (np.arange(steps) + 0.5) * step_s
-    leg = np.clip(np.searchsorted(at_s, t, side="right") - 1, 0, len(lengths) - 1)
-    share = np.clip((t - at_s[leg]) / (at_s[leg + 1] - at_s[leg]), 0.0, 1.0)
+    leg = np.clip(np.searchsorted(at_s, t, side="right") - 1, 0, len(drive_s) - 1)
+    share = np.clip((t - at_s[leg] - turn_s[leg]) / drive_s[leg], 0.0, 1.0)
     return np.ascontiguousarray(corners[leg] + share[:, None, None] * (corners[leg + 1] - corners[leg]))
+
+
+def legs_within_range(
+    places_m: FloatArray, start_m: FloatArray, range_m: FloatArray, home_m: FloatArray
+) -> int:
+    """How many of the places (legs, m, 2) every robot can go to one after another and still come home.
+
+    `range_m` (m,) is how far each can drive, `home_m` (m, 2) where it has to come back to.
+    """
+    corners = np.concatenate([start_m[None], places_m])
+    legs = np.diff(corners, axis=0)
+    gone = np.cumsum(np.hypot(legs[..., 0], legs[..., 1]), axis=0)
+    back = places_m - home_m
+    too_far = (gone + np.hypot(back[..., 0], back[..., 1]) > range_m).any(axis=1)
+    return int(np.argmax(too_far)) if too_far.any() else len(places_m)

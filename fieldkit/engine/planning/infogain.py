@@ -3,7 +3,8 @@
 A path is worth the sources it would newly hear on unsearched ground, plus the progress it would make on
 candidates not yet resolved: receptions still missing, and the shrinking of their posterior by Fisher information,
 both as expected over samples of where and how strong each candidate may be. Teams are planned one after another
-on what the others leave; no path comes nearer to another team than the separation.
+on what the others leave; no path comes nearer to another team than the separation, or leads further than a robot's
+battery brings it home from.
 """
 
 import math
@@ -16,7 +17,7 @@ from fieldkit.antenna.model import MIN_RANGE_M
 from fieldkit.engine import kernels
 from fieldkit.engine.belief.base import Belief
 from fieldkit.engine.belief.intensity import IntensityBelief, Unresolved
-from fieldkit.engine.planning.base import Situation, abreast, track, waypoints
+from fieldkit.engine.planning.base import Situation, abreast, legs_within_range, track, waypoints
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.messages import FloatArray, Plan
@@ -71,7 +72,9 @@ class InfoGainPlanner:
         for team in situation.teams:
             start = np.array([situation.position_m[robot] for robot in team])
             best, best_score, best_info = None, -math.inf, {}
-            for option in self._options(team, start, belief, value, planned_s, unresolved, horizon_s):
+            for option in self._options(
+                situation, team, start, belief, value, planned_s, unresolved, horizon_s
+            ):
                 if any(not self._clear(option.track_m, other) for other in taken):
                     continue
                 score = kernels.path_ground_gain(
@@ -107,7 +110,7 @@ class InfoGainPlanner:
                         )
                 if score > best_score:
                     best, best_score, best_info = option, score, info
-            if best is None:  # boxed in by the others: stay
+            if best is None:  # boxed in by the others, or no battery left for any path: stay
                 for robot in team:
                     paths[robot], purpose[robot] = (), "wait"
                 taken.append(np.repeat(start[None], max(1, int(horizon_s / STEP_S)), axis=0))
@@ -162,6 +165,7 @@ class InfoGainPlanner:
 
     def _options(
         self,
+        situation: Situation,
         team: tuple[str, ...],
         start: FloatArray,
         belief: IntensityBelief,
@@ -176,14 +180,19 @@ class InfoGainPlanner:
         length_m = self.settings.max_speed_m_s * horizon_s
         spacings = [max(self.settings.min_separation_m, factor * typical_m) for factor in SPACINGS]
         options: list[_Option] = []
+        range_m = np.array([situation.range_m.get(robot, np.inf) for robot in team])
+        home_m = np.array([situation.home_m.get(robot, at) for robot, at in zip(team, start, strict=True)])
 
         def add(purpose: str, corners: list[FloatArray] | FloatArray, spacing_m: float) -> None:
             places = abreast(
                 np.asarray(corners, dtype=float), start, spacing_m, self.grid, self.settings.fence_margin_m
             )
-            if self._blocked(np.concatenate([start[None], places])):
+            places = places[: legs_within_range(places, start, range_m, home_m)]
+            if len(places) == 0 or self._blocked(np.concatenate([start[None], places])):
                 return
-            route = track(places, start, self.settings.max_speed_m_s, STEP_S, horizon_s)
+            route = track(
+                places, start, self.settings.max_speed_m_s, STEP_S, horizon_s, self.settings.max_turn_deg_s
+            )
             options.append(_Option(purpose, places, route))
 
         left = (value * np.exp(-self.settings.reference_rate_hz * planned_s)).ravel()
