@@ -397,6 +397,53 @@ def abreast(
 
 
 @njit(cache=True, nogil=True)
+def track(
+    places: FloatArray,
+    start: FloatArray,
+    speed: float,
+    turn_rad_s: float,
+    step: float,
+    out: FloatArray,
+) -> None:
+    """out (steps, m, 2): where robots are at (k + 1/2) * step on their way over places (legs, m, 2) from start (m, 2).
+
+    Each leg takes as long as its longest way at `speed`; before it the team waits for its widest turn on the spot.
+    Robots that have arrived wait at the last place.
+    """
+    legs, count = places.shape[0], places.shape[1]
+    steps = out.shape[0]
+    k = 0
+    begin = 0.0
+    for leg in range(legs):
+        longest = 0.0
+        widest = 0.0
+        for q in range(count):
+            e0 = start[q, 0] if leg == 0 else places[leg - 1, q, 0]
+            n0 = start[q, 1] if leg == 0 else places[leg - 1, q, 1]
+            de, dn = places[leg, q, 0] - e0, places[leg, q, 1] - n0
+            length = math.hypot(de, dn)
+            longest = max(longest, length)
+            if leg > 0 and length > 1e-6:
+                be = e0 - (start[q, 0] if leg == 1 else places[leg - 2, q, 0])
+                bn = n0 - (start[q, 1] if leg == 1 else places[leg - 2, q, 1])
+                if math.hypot(be, bn) > 1e-6:
+                    turn = math.atan2(de, dn) - math.atan2(be, bn)
+                    widest = max(widest, abs((turn + math.pi) % (2.0 * math.pi) - math.pi))
+        turned = begin + widest / turn_rad_s
+        end = turned + longest / speed
+        while k < steps and ((k + 0.5) * step < end or leg == legs - 1):
+            share = 1.0
+            if end > turned:
+                share = min(max(((k + 0.5) * step - turned) / (end - turned), 0.0), 1.0)
+            for q in range(count):
+                for axis in range(2):
+                    a = start[q, axis] if leg == 0 else places[leg - 1, q, axis]
+                    out[k, q, axis] = a + share * (places[leg, q, axis] - a)
+            k += 1
+        begin = end
+
+
+@njit(cache=True, nogil=True)
 def path_information(
     track: FloatArray,
     dt: float,

@@ -178,18 +178,22 @@ class Mixture:
             np.array([self.unclaimed[number] for number in numbers]),
             np.array([self.explained[number] for number in numbers]),
         )
-        for sweep in range(sweeps):
-            share_out(
-                self.candidates,
-                numbers,
-                log_unknown,
-                log_clutter,
-                np.array([self.summary(candidate).exposure_s for candidate in self.candidates]),
-                self.rate_prior_s,
-                left,
-                skip_settled=sweep < sweeps - 1,
-            )
+
+        def mean_exposure_s() -> FloatArray:
+            seen = np.array([self.summary(candidate).exposure_s for candidate in self.candidates])
             self._summaries.clear()
+            return seen
+
+        share_out(
+            self.candidates,
+            numbers,
+            log_unknown,
+            log_clutter,
+            mean_exposure_s,
+            self.rate_prior_s,
+            left,
+            passes=sweeps,
+        )
         self.unclaimed = dict(zip(numbers, left.unclaimed.tolist(), strict=True))
         self.explained = dict(zip(numbers, left.explained.tolist(), strict=True))
         for candidate in self.candidates:

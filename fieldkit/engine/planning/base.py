@@ -82,20 +82,16 @@ def track(
 
     At a corner the team waits until its slowest robot has turned on the spot, at `turn_deg_s`.
     """
-    steps = max(1, int(horizon_s / step_s))
-    corners = np.concatenate([start_m[None], places_m])
-    legs = np.diff(corners, axis=0)
-    lengths = np.hypot(legs[..., 0], legs[..., 1])
-    heading = np.arctan2(legs[..., 0], legs[..., 1])
-    turned = np.abs((np.diff(heading, axis=0) + np.pi) % (2.0 * np.pi) - np.pi)
-    turned[(lengths[1:] < 1e-6) | (lengths[:-1] < 1e-6)] = 0.0
-    turn_s = np.concatenate([[0.0], np.degrees(turned.max(axis=1)) / turn_deg_s])
-    drive_s = lengths.max(axis=1) / speed_m_s + 1e-9
-    at_s = np.concatenate([[0.0], np.cumsum(turn_s + drive_s)])
-    t = (np.arange(steps) + 0.5) * step_s
-    leg = np.clip(np.searchsorted(at_s, t, side="right") - 1, 0, len(drive_s) - 1)
-    share = np.clip((t - at_s[leg] - turn_s[leg]) / drive_s[leg], 0.0, 1.0)
-    return np.ascontiguousarray(corners[leg] + share[:, None, None] * (corners[leg + 1] - corners[leg]))
+    out = np.empty((max(1, int(horizon_s / step_s)), start_m.shape[0], 2))
+    kernels.track(
+        np.ascontiguousarray(places_m),
+        np.ascontiguousarray(start_m),
+        speed_m_s,
+        np.radians(turn_deg_s),
+        step_s,
+        out,
+    )
+    return out
 
 
 def legs_within_range(
@@ -105,6 +101,8 @@ def legs_within_range(
 
     `range_m` (m,) is how far each can drive, `home_m` (m, 2) where it has to come back to.
     """
+    if np.isinf(range_m).all():
+        return len(places_m)
     corners = np.concatenate([start_m[None], places_m])
     legs = np.diff(corners, axis=0)
     gone = np.cumsum(np.hypot(legs[..., 0], legs[..., 1]), axis=0)

@@ -92,6 +92,9 @@ class LevelsModel:
         """(h - 1, steps) P(one robot hears) at squared distances (k + 1/2) * step2_m2."""
         self.hear_known_mean = np.ascontiguousarray(self.hear[: known.size, : _STEPS + 2].mean(axis=0))
         """(steps,) the same averaged over the known levels, up to `reach_m`."""
+        heard = np.flatnonzero(self.hear_known_mean > 0.01)
+        self.search_reach_m = float(np.sqrt((heard.max(initial=0) + 1) * self.step2_m2))
+        """Beyond this, not one packet in a hundred is heard, on average over the known levels."""
 
     def log_hear(self, range_m: FloatArray, level_dbm: FloatArray) -> FloatArray:
         """log P(a robot hears a packet) at `range_m` from a source of power `level_dbm` at 1 m."""
