@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib
 
@@ -12,7 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from fieldkit.messages import SourceEstimate
+from mission.analysis.coverage import SEARCHED, Coverage
+from mission.analysis.refine import ELLIPSE_90, Fit, Refined
 from mission.analysis.story import Story
+from mission.analysis.use import Stretch, kind
 
 ROBOT_COLOURS = ("#0072b2", "#56b4e9", "#009e73", "#66c2a5", "#cc79a7", "#e7a6c9", "#8c6d31", "#bd9e39")
 """Neighbours share a hue: robots of a pair."""
@@ -63,20 +67,7 @@ def field_map(story: Story) -> Figure:
 
 def _draw_source(axes: plt.Axes, source: SourceEstimate) -> None:
     colour = {"found": FOUND, "candidate": CANDIDATE, "doubtful": DOUBTFUL, "removed": DOUBTFUL}[source.state]
-    values, vectors = np.linalg.eigh(source.cov_m2)
-    angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
-    spread = 2 * 2.146 * np.sqrt(np.maximum(values, 1e-6))  # 90 % of a plane normal lies within 2.146 sigma
-    axes.add_patch(
-        Ellipse(
-            (source.east_m, source.north_m),
-            spread[1],
-            spread[0],
-            angle=angle,
-            fill=False,
-            color=colour,
-            lw=1.5,
-        )
-    )
+    axes.add_patch(ellipse(source.east_m, source.north_m, source.cov_m2, colour, "-"))
     axes.plot(source.east_m, source.north_m, "+", ms=8, mew=1.5, color=colour)
     axes.annotate(
         f"{source.ident}",
@@ -133,18 +124,23 @@ def detections_over_time(story: Story) -> Figure:
     return figure
 
 
-def use_of_robots(story: Story, stretches: Sequence[tuple[str, float, float, str]]) -> Figure:
-    """Who was on what, when: searching, resolving a candidate, on a ridge, held."""
+def use_of_robots(story: Story, rows: Sequence[Stretch]) -> Figure:
+    """Who was on what, when: searching, on a candidate, on a ridge, held."""
     robots = list(story.tracks)
     figure, axes = plt.subplots(figsize=(8.4, 0.5 + 0.35 * max(1, len(robots))))
-    kinds = sorted({_kind(purpose) for _, _, _, purpose in stretches})
-    palette = dict(zip(kinds, [plt.get_cmap("tab10")(k) for k in range(10)], strict=False))
-    for robot, start_s, end_s, purpose in stretches:
+    kinds = sorted({kind(purpose) for *_, purpose in rows})
+    colour: dict[str, Any] = dict(zip(kinds, [plt.get_cmap("tab10")(k) for k in range(10)], strict=False))
+    colour["held"] = "#d62728"
+    for robot, start_s, end_s, purpose in rows:
         axes.barh(
-            robots.index(robot), end_s - start_s, left=start_s, color=palette[_kind(purpose)], height=0.7
+            robots.index(robot),
+            end_s - start_s,
+            left=start_s,
+            color=colour.get(kind(purpose), "grey"),
+            height=0.7,
         )
-    for kind in kinds:
-        axes.barh(0, 0, color=palette[kind], label=kind)
+    for each in kinds:
+        axes.barh(0, 0, color=colour.get(each, "grey"), label=each)
     axes.set_yticks(range(len(robots)), labels=robots)
     axes.set(xlim=(0, max(story.duration_s, 1.0)), xlabel="mission time, s")
     if kinds:
@@ -152,5 +148,103 @@ def use_of_robots(story: Story, stretches: Sequence[tuple[str, float, float, str
     return figure
 
 
-def _kind(purpose: str) -> str:
-    return purpose.split(" ", 1)[0].rstrip(":")
+def searched_map(story: Story, covered: Coverage) -> Figure:
+    """Where a source would have been heard, had there been one."""
+    east_m, north_m = covered.size_m
+    figure, axes = plt.subplots(figsize=(4.6, 4.2))
+    shown = axes.imshow(
+        covered.heard,
+        origin="lower",
+        cmap="YlGn",
+        vmin=0,
+        vmax=1,
+        extent=(0, east_m, 0, north_m),
+        aspect="equal",
+    )
+    if 0.0 < covered.searched_share < 1.0:
+        grid = (
+            np.linspace(0.0, east_m, covered.heard.shape[1]),
+            np.linspace(0.0, north_m, covered.heard.shape[0]),
+        )
+        axes.contour(*grid, covered.heard, levels=[SEARCHED], colors="#005a32", linewidths=1.2)
+    figure.colorbar(shown, ax=axes, shrink=0.8, label="probability of having heard a source there")
+    axes.set(xlabel="east, m", ylabel="north, m")
+    return figure
+
+
+def source_map(story: Story, source: SourceEstimate, refined: Refined | None) -> Figure:
+    """The surroundings of one source: belief, its receptions by strength, estimate, refinement, truth."""
+    half = _surroundings_m(story, source, refined)
+    figure, axes = plt.subplots(figsize=(4.4, 4.0))
+    field = story.mission.file.field
+    if story.belief is not None:
+        axes.imshow(
+            np.log10(np.maximum(story.belief.values, 1e-5)), origin="lower", cmap="Greys", vmin=-5, vmax=0,
+            extent=(0, field.size_east_m, 0, field.size_north_m), aspect="equal", interpolation="nearest",
+        )  # fmt: skip
+    if refined is not None:
+        weight = refined.share
+        places = [
+            (float(e), float(n), float(z))
+            for (_, d), w in zip(story.detections, weight, strict=True)
+            if w > 0.5
+            for (e, n), z in zip(d.position_m, d.rss_dbm, strict=True)
+            if not np.isnan(z)
+        ]
+        if places:
+            e, n, z = zip(*places, strict=True)
+            dots = axes.scatter(e, n, c=z, s=16, cmap="viridis", edgecolors="white", linewidths=0.3)
+            figure.colorbar(dots, ax=axes, shrink=0.8, label="received there, dBm")
+        if np.all(np.isfinite(refined.cov_m2)):
+            axes.add_patch(ellipse(refined.east_m, refined.north_m, refined.cov_m2, "#1f77b4", "-"))
+        axes.plot(refined.east_m, refined.north_m, "x", ms=8, mew=1.8, color="#1f77b4", label="refined")
+    _draw_source(axes, source)
+    for index, truth in enumerate(story.truth):
+        axes.plot(truth["east_m"], truth["north_m"], "k*", ms=9, label="" if index else "true")
+    axes.set(
+        xlim=(source.east_m - half, source.east_m + half), ylim=(source.north_m - half, source.north_m + half),
+        xlabel="east, m", ylabel="north, m", aspect="equal",
+    )  # fmt: skip
+    return figure
+
+
+def _surroundings_m(story: Story, source: SourceEstimate, refined: Refined | None) -> float:
+    """How far around a source to look: its ellipse, some cells, and most of the places it was heard from."""
+    sigma = float(np.sqrt(max(np.trace(source.cov_m2) / 2, 0.0)))
+    reach = [5.0 * sigma, 5.0 * story.mission.kernel.engine.grid.cell_m]
+    if refined is not None:
+        far = [
+            float(np.hypot(e - source.east_m, n - source.north_m))
+            for (_, d), share in zip(story.detections, refined.share, strict=True)
+            if share > 0.5
+            for (e, n), z in zip(d.position_m, d.rss_dbm, strict=True)
+            if not np.isnan(z)
+        ]
+        reach += [1.1 * float(np.quantile(far, 0.8))] if far else []
+    return max(reach)
+
+
+def residuals(fit: Fit) -> Figure:
+    """How readings lie around the prediction, with the curve the antenna file promises."""
+    figure, axes = plt.subplots(figsize=(4.6, 3.0))
+    reach = max(12.0, float(np.abs(fit.residual_db).max()) + 1.0)
+    bins = np.arange(-np.ceil(reach), np.ceil(reach) + 1.0, 1.0)
+    axes.hist(fit.residual_db, bins=bins.tolist(), color="#9ecae1", density=True, label="readings")
+    x = np.linspace(-reach, reach, 300)
+    sigma = fit.promised_db
+    axes.plot(
+        x, np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi)), color="#08519c", label="promised"
+    )
+    axes.set(xlabel="reading minus prediction, dB", yticks=[])
+    axes.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def ellipse(east_m: float, north_m: float, cov_m2: np.ndarray, colour: str, style: str) -> Ellipse:
+    """The outline that holds 90 % of a normal posterior."""
+    values, vectors = np.linalg.eigh(cov_m2)
+    angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+    spread = 2 * ELLIPSE_90 * np.sqrt(np.maximum(values, 1e-6))
+    return Ellipse(
+        (east_m, north_m), spread[1], spread[0], angle=angle, fill=False, color=colour, lw=1.5, ls=style
+    )

@@ -7,7 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from fieldkit.messages import Detection, FloatArray, Hold, Plan, Pose, SourceEstimate, Tick, VehicleState
+from fieldkit.errors import RecordingError
+from fieldkit.messages import (
+    Detection,
+    FloatArray,
+    Hold,
+    Plan,
+    Pose,
+    ReceiverState,
+    RssReading,
+    SourceEstimate,
+    Tick,
+    VehicleState,
+)
 from fieldkit.recording.reader import BeliefGrid, Recording, open_recording
 from mission.config import Mission
 from mission.replay import recorded_mission
@@ -36,6 +48,10 @@ class Story:
     belief: BeliefGrid | None = None
     """The last belief kept."""
     modes: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
+    receivers: dict[str, list[tuple[float, bool, str]]] = field(default_factory=dict)
+    """Robot to when its receiver went down or came back, and why."""
+    readings: dict[str, int] = field(default_factory=dict)
+    """Robot to how many readings it made."""
     truth: list[dict[str, float]] = field(default_factory=list)
     result: dict[str, Any] | None = None
 
@@ -43,6 +59,18 @@ class Story:
     def final(self) -> list[SourceEstimate]:
         """The last estimates."""
         return self.estimates[-1][1] if self.estimates else []
+
+    def down(self, robot: str) -> list[tuple[float, float]]:
+        """(from s, to s) in which a receiver was down."""
+        stretches: list[tuple[float, float]] = []
+        since: float | None = None
+        for t_s, up, _ in self.receivers.get(robot, ()):
+            if not up and since is None:
+                since = t_s
+            elif up and since is not None:
+                stretches.append((since, t_s))
+                since = None
+        return stretches if since is None else [*stretches, (since, self.duration_s)]
 
     @property
     def found(self) -> list[SourceEstimate]:
@@ -67,6 +95,8 @@ def read_story(path: Path) -> Story:
             poses[value.robot].append((value.t_ns, value.east_m, value.north_m))
         else:
             later.append((item.log_time_ns, value, item.origin))
+    if not poses and first_ns is None and not later:
+        raise RecordingError(f"{path}: it holds no events, so there is nothing to report")
     story.start_ns = first_ns or 0
     story.duration_s = max(0.0, (last_ns - story.start_ns) * 1e-9)
     for robot, rows in sorted(poses.items()):
@@ -92,6 +122,10 @@ def _sort(story: Story, t_s: float, value: Any, origin: str) -> None:
             mode = value.mode if value.link_up else "link down"
             if not modes or modes[-1][1] != mode:
                 modes.append((t_s, mode))
+        case ReceiverState():
+            story.receivers.setdefault(value.robot, []).append((t_s, value.up, value.reason))
+        case RssReading():
+            story.readings[value.robot] = story.readings.get(value.robot, 0) + 1
         case list() | tuple():
             story.estimates.append((t_s, list(value)))
         case _ if hasattr(value, "level"):

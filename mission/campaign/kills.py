@@ -36,8 +36,9 @@ def run(
 ) -> dict[str, Any]:
     """Kill so many missions; seconds lost, files that cannot be read, messages that are not what was written.
 
-    Seconds are of mission time (`rate` of them pass in a wall second), from the arrival of the last event at the inbox
-    to the last one recorded.
+    Seconds are of mission time (`rate` of them pass in a wall second). Lost is the time from the first event that
+    arrived and is not in the file to the last; the gap goes from the last one that is in the file, which may be
+    longer where nothing arrived for a while.
     """
     rng = np.random.default_rng(seed)
     rows = []
@@ -56,6 +57,7 @@ def run(
             "kill -9 of an emulated mission": {
                 "most_lost_s": max(lost_s),
                 "median_lost_s": float(np.median(lost_s)),
+                "longest_gap_s": max(row["gap_s"] for row in rows),
                 "unreadable": sum(row["unreadable"] for row in rows),
                 "wrong_messages": sum(row["wrong"] for row in rows),
                 "not_recovered": sum(row["not_recovered"] for row in rows),
@@ -79,13 +81,16 @@ def judge(folder: Path) -> dict[str, Any]:
         recover(folder / "mission.mcap", folder / "recovered.mcap")
     except RecordingError:
         not_recovered = True
-    started_ns = journal[0][2] if journal else arrived_ns
-    last_ns = max((log_ns for topic, _, log_ns, _ in found if topic.startswith("/in/")), default=started_ns)
+    first_lost_ns = next(
+        (log_ns for topic, _, log_ns, _ in journal[len(found) :] if topic.startswith("/in/")), arrived_ns
+    )
+    last_kept_ns = max((log_ns for topic, _, log_ns, _ in found if topic.startswith("/in/")), default=0)
     # What was written in order must be there in order, without gaps, from the first message on.
     wrong = sum(mine != written for mine, written in zip(found, journal, strict=False))
     wrong += max(0, len(found) - len(journal))
     return {
-        "lost_s": max(0.0, (arrived_ns - last_ns) * 1e-9),
+        "lost_s": max(0.0, (arrived_ns - first_lost_ns) * 1e-9),
+        "gap_s": max(0.0, (arrived_ns - last_kept_ns) * 1e-9) if last_kept_ns else 0.0,
         "unreadable": unreadable,
         "not_recovered": not_recovered,
         "wrong": wrong,

@@ -1,0 +1,110 @@
+"""A mission in sentences, for people who were not there: what was found, how sure, and what may be left."""
+
+import numpy as np
+
+from mission.analysis.coverage import SEARCHED, Coverage
+from mission.analysis.refine import Fit
+from mission.analysis.story import Story
+
+ODD_BIAS_DB, ODD_RATIO = 2.0, 1.3
+"""Readings that are off by more on average, or scatter so many times as wide, do not look like the antenna file."""
+
+
+def found(story: Story) -> list[str]:
+    """What was heard and found, and how sure that is."""
+    sentences = []
+    if story.recording.missing:
+        sentences.append(f"The recording is not whole: {story.recording.missing}.")
+    heard = len(story.detections)
+    if not heard:
+        return [*sentences, f"In {minutes(story.duration_s)} nothing was heard, so nothing was found."]
+    count = len(story.found)
+    sentences.append(
+        f"In {minutes(story.duration_s)} the team heard {heard} transmission{'s' * (heard > 1)} and found "
+        f"{count or 'no'} source{'s' * (count != 1)}."
+    )
+    for source in story.found:
+        sigma = float(np.sqrt(np.trace(source.cov_m2) / 2))
+        sentences.append(
+            f"Source {source.ident} is at {source.east_m:.2f} m east, {source.north_m:.2f} m north (standard deviation "
+            f"{sigma:.2f} m): {percent(source.p_here)} sure within one cell, from {source.receptions:.0f} receptions."
+        )
+    for source in story.final:
+        if source.state == "doubtful":
+            sentences.append(f"No position is claimed for source {source.ident}: {source.note}.")
+        elif source.state == "candidate" and source.p_exists > 0.5:
+            sentences.append(
+                f"Candidate {source.ident} near {source.east_m:.1f} m east, {source.north_m:.1f} m north is not "
+                f"resolved ({source.receptions:.1f} receptions; {percent(source.p_here)} sure within one cell)."
+            )
+    return sentences
+
+
+def silent(story: Story, covered: Coverage) -> list[str]:
+    """What was searched and stayed silent, and what may be left."""
+    field = story.mission.file.field
+    every_s = 1.0 / covered.rate_hz
+    whole_m2 = field.size_east_m * field.size_north_m
+    sentences = [
+        f"{percent(covered.searched_share)} of the field ({covered.searched_m2:.0f} of {whole_m2:.0f} m²) was searched: "
+        f"a source there that sends every {every_s:.0f} s on average would have been heard with {SEARCHED:.0%} or more."
+    ]
+    if covered.searched_share < 1.0:
+        where, mean = covered.weakest()
+        sentences.append(
+            f"Least was searched in {where}: there it would have been heard with {percent(mean)} on average."
+        )
+    if story.left:
+        left = story.left[-1][1]
+        sentences.append(
+            f"The probability that a source sending so often or oftener is still unfound is {percent(left)}"
+            + (": another search is worth it." if left > 0.2 else ".")
+        )
+    return sentences
+
+
+def fit(readings: Fit) -> str:
+    """Whether readings look like what the antenna file predicts."""
+    n = readings.residual_db.size
+    if n < 10:
+        return f"Only {n} readings can be compared with the antenna file's prediction: too few to say whether it fits."
+    ratio = readings.spread_db / readings.promised_db
+    good = abs(readings.bias_db) <= ODD_BIAS_DB and ratio <= ODD_RATIO
+    return (
+        f"{n} readings scatter {readings.spread_db:.1f} dB around the antenna file's prediction, which promises "
+        f"{readings.promised_db:.1f} dB, and are {readings.bias_db:+.1f} dB off on average: "
+        + (
+            "the antenna file fits."
+            if good
+            else "the antenna file does not fit; calibrate these radios again."
+        )
+    )
+
+
+def ending(story: Story) -> list[str]:
+    """Why it ended, and whether safety had to step in."""
+    sentences = []
+    if story.result is not None:
+        sentences.append(f"The mission ended because {story.result['end_reason']}.")
+    else:
+        sentences.append("The recording ends before the mission did.")
+    held = sorted({hold.robot for _, hold in story.holds})
+    if held:
+        sentences.append(f"Safety held {', '.join(held)} ({len(story.holds)} orders).")
+    return sentences
+
+
+def minutes(duration_s: float) -> str:
+    """A duration as people say it."""
+    if duration_s < 180.0:
+        return f"{duration_s:.0f} s"
+    return f"{duration_s / 60.0:.0f} min" if duration_s < 7200.0 else f"{duration_s / 3600.0:.1f} h"
+
+
+def percent(share: float) -> str:
+    """A probability without claiming certainty that rounding made."""
+    if 0.995 <= share < 1.0:
+        return "over 99 %"
+    if 0.0 < share < 0.005:
+        return "under 1 %"
+    return f"{100.0 * share:.0f} %"

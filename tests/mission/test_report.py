@@ -1,0 +1,122 @@
+"""The report: right words for what was found, silent, wrong; also where nothing was heard."""
+
+from html.parser import HTMLParser
+from math import hypot
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from fieldkit.cli import build
+from fieldkit.errors import RecordingError
+from fieldkit.messages import Hold, Pose, ReceiverState, RssReading, Tick, VehicleState
+from fieldkit.recording import RecordingWriter, open_recording
+from mission.analysis.faults import faults
+from mission.analysis.report import write_report
+from mission.analysis.story import read_story
+from mission.analysis.use import stretches, use
+from mission.synthetic import record_simulated, small_mission
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record_simulated(tmp_path_factory.mktemp("log"), seed=2, duration_s=300.0)
+
+
+class Page(HTMLParser):
+    """The page's text, and whatever it would fetch from elsewhere."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.words, self.fetched, self.open = "", [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.open += [] if tag in ("meta", "path", "use", "img", "br") else [tag]
+        self.fetched += [v for k, v in attrs if k in ("src", "href", "xlink:href") and v and "://" in v]
+        self.fetched += [tag] if tag in ("script", "link", "iframe") else []
+
+    def handle_data(self, data):
+        self.words += data
+
+
+def test_the_page_says_what_was_found_and_fetches_nothing(log: Path, tmp_path: Path) -> None:
+    said = write_report(log, tmp_path / "report.html")
+    page = Page((tmp_path / "report.html").read_text())
+    assert page.fetched == []
+    result = open_recording(log).result()
+    assert f"heard {result['detections']} transmission" in page.words and "searched" in page.words
+    assert said["found"] == len(result["found_at_s"])
+    assert "a source there that sends every 10 s" in page.words
+    for source in said["refined"]:
+        assert f"Source {source['ident']}" in page.words
+
+
+def test_refined_places_are_where_the_sources_are(log: Path, tmp_path: Path) -> None:
+    story = read_story(log)
+    for source in write_report(log, tmp_path / "r.html")["refined"]:
+        off = min(
+            ((source["east_m"] - t["east_m"]) ** 2 + (source["north_m"] - t["north_m"]) ** 2) ** 0.5
+            for t in story.truth
+        )
+        assert off < max(0.4, 4.0 * source["sigma_m"])
+
+
+def test_a_mission_with_no_detection_has_a_report_that_says_so(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path, robots=2)
+    path = tmp_path / "mission.mcap"
+    with RecordingWriter(path, mission_toml=mission.text, antenna_toml=mission.antenna_text) as writer:
+        for number in range(100):
+            t_ns = number * 500_000_000
+            writer.event(2 * number, t_ns, Pose(t_ns, "r1", 5.0, 5.0))
+            writer.event(2 * number + 1, t_ns, Tick(t_ns))
+    said = write_report(path, tmp_path / "report.html")
+    words = Page((tmp_path / "report.html").read_text()).words
+    assert said["detections"] == said["found"] == 0 and said["refined"] == []
+    assert "nothing was heard, so nothing was found" in words and "No source was heard" in words
+    assert "The recording ends before the mission did" in words
+
+
+def test_a_mission_with_no_events_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path, robots=2)
+    path = tmp_path / "mission.mcap"
+    RecordingWriter(path, mission_toml=mission.text, antenna_toml=mission.antenna_text).close()
+    with pytest.raises(RecordingError, match="no events"):
+        write_report(path, tmp_path / "report.html")
+    assert not (tmp_path / "report.html").exists()
+    done = CliRunner().invoke(build(), ["report", str(path)])
+    assert isinstance(done.exception, RecordingError)
+
+
+def test_faults_are_told_once_each_with_how_long_they_lasted(log: Path, tmp_path: Path) -> None:
+    path = tmp_path / "mission.mcap"
+    whole = open_recording(log)
+    with RecordingWriter(path, mission_toml=whole.mission_toml, antenna_toml=whole.antenna_toml) as writer:
+        for number, log_ns, event in whole.events():
+            writer.event(number, log_ns, event)
+        start = 10_000_000_000
+        writer.event(number + 1, start, ReceiverState(start, "r1", False, "unplugged"))
+        writer.event(number + 2, start + 7_000_000_000, ReceiverState(start, "r1", True))
+        writer.event(number + 3, start, VehicleState(start, "r2", "guided", True, link_up=False))
+        for k in range(3):
+            writer.command(number, start + k, Hold(start + k, "r3", "no position"), "safety")
+        writer.note("error", "the disk is on fire", start)
+    story = read_story(path)
+    said = [(round(t), who, text) for t, who, text in faults(story)]
+    assert (10, "r1", "receiver down for 7 s: unplugged") in said
+    assert (10, "r2", "link down to the end") in said
+    assert [row for row in said if row[1] == "r3"] == [(10, "r3", "held by safety: no position")]
+    assert (10, "", "the disk is on fire") in said
+    assert story.down("r1") == [(10.0, 17.0)]
+    page = tmp_path / "report.html"
+    write_report(path, page)
+    assert "the disk is on fire" in page.read_text()
+
+
+def test_shares_of_a_robots_time_make_a_whole(log: Path) -> None:
+    story = read_story(log)
+    for each in use(story, stretches(story)):
+        assert each.on_ridge + each.off_ridge + each.held == pytest.approx(1.0, abs=1e-6)
+        assert each.distance_m > 0.0
+    readings = [e for _, _, e in open_recording(log).events() if isinstance(e, RssReading)]
+    assert sum(story.readings.values()) == len(readings)
