@@ -43,20 +43,26 @@ def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emula
     for robot in robots:
         make = plugins.load("fieldkit.receivers", robot.receiver.driver)
         receivers.append(make(robot.name, dict(robot.receiver.model_extra or {}), around))
-    grouped: dict[tuple[str, str], dict[str, dict[str, Any]]] = {}
-    for robot in robots:
-        key = (robot.vehicle.driver, robot.vehicle.address)
-        grouped.setdefault(key, {})[robot.name] = dict(robot.vehicle.model_extra or {})
-    links = [
-        plugins.load("fieldkit.vehicles", driver)(address, options, around)
-        for (driver, address), options in grouped.items()
-    ]
+    links = with_vehicles(mission, robots, clock)
     positions = []
     for table in () if emulator is not None else mission.file.positions:
         positions.append(
             plugins.load("fieldkit.positions", table.driver)(dict(table.model_extra or {}), around)
         )
-    return Rig(clock, tuple(receivers), tuple(links), tuple(positions), emulator)
+    return Rig(clock, tuple(receivers), links, tuple(positions), emulator)
+
+
+def with_vehicles(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock) -> tuple[VehicleLink, ...]:
+    """The links to the robots' vehicles: robots at one address share one."""
+    around = Surroundings(clock, mission.frame)
+    grouped: dict[tuple[str, str], dict[str, dict[str, Any]]] = {}
+    for robot in robots:
+        key = (robot.vehicle.driver, robot.vehicle.address)
+        grouped.setdefault(key, {})[robot.name] = dict(robot.vehicle.model_extra or {})
+    return tuple(
+        plugins.load("fieldkit.vehicles", driver)(address, options, around)
+        for (driver, address), options in grouped.items()
+    )
 
 
 @contextmanager

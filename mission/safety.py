@@ -38,16 +38,18 @@ from fieldkit.messages import (
     VehicleState,
     Waypoint,
 )
-from mission.homing import Homing
+from mission.homing import Homing, home_way
 from mission.watch import SafetySettings, Trouble, Watched, trouble_of, unfit
-from mission.ways import Way, nearest_m
+from mission.ways import Place, Way, nearest_m, standing
 
 __all__ = ["Safety", "SafetySettings"]
 
 REPEAT_S = 3.0
 """A hold that has not been confirmed is repeated this often."""
-STARTS_S = 2.0
+STARTS_S = 4.0
 """How much later than another a robot may set out: it turns on the spot first, or its order is sent again."""
+SOON_S = 4.0
+"""How far ahead robots under way are watched: time to tell one to stop over a poor link."""
 
 
 @dataclass
@@ -87,17 +89,41 @@ class Safety:
         return self.judge((command,))[0]
 
     def judge(self, commands: Sequence[Command]) -> list[Command]:
-        """Commands given together, as they may be carried out; judged against each other, not against old ways."""
-        waiting = {command.robot for command in commands if isinstance(command, GoTo)}
+        """Commands given together, as they may be carried out; judged against each other, not against old ways.
+
+        A robot that must stay stands in others' ways: whoever is refused is judged as standing, until none is new.
+        """
+        refused: dict[str, Hold] = {}
+        while True:
+            judged = self._judge_once(commands, refused)
+            new = {c.robot: c for c in judged if isinstance(c, Hold) and c.robot not in refused}
+            if not new:
+                break
+            refused |= new
+        for asked, allowed in zip(commands, judged, strict=True):
+            self.interventions += allowed != asked
+            self._note(allowed)
+        return judged
+
+    def _judge_once(self, commands: Sequence[Command], refused: dict[str, Hold]) -> list[Command]:
+        """Each command in order, the robots in `refused` standing where they are."""
+        ways = {
+            name: standing(self.robots[name].place_m or (0.0, 0.0)) for name in refused if name in self.robots
+        }
+        undecided = {c.robot for c in commands if isinstance(c, GoTo)} - refused.keys()
         judged: list[Command] = []
         for command in commands:
-            if isinstance(command, GoTo):
-                waiting.discard(command.robot)
-                judged.append(self._allow_goto(command, waiting))
-            else:
+            if not isinstance(command, GoTo):
                 judged.append(command)
-            self.interventions += judged[-1] != command
-            self._note(judged[-1])
+                continue
+            if command.robot in refused:
+                judged.append(refused[command.robot])
+                continue
+            undecided.discard(command.robot)
+            judged.append(self._allow_goto(command, ways, undecided))
+            robot, allowed = self.robots.get(command.robot), judged[-1]
+            if robot is not None and robot.place_m is not None and isinstance(allowed, GoTo):
+                ways[command.robot] = _way_to(robot.place_m, allowed.waypoint)
         return judged
 
     def _note(self, command: Command) -> None:
@@ -106,9 +132,7 @@ class Safety:
         if robot is None:
             return
         if isinstance(command, GoTo) and robot.place_m is not None:
-            target = command.waypoint
-            way = Way(robot.place_m, (target.east_m, target.north_m), max(target.speed_m_s, 0.01))
-            robot.send(way, command.t_ns)
+            robot.send(_way_to(robot.place_m, command.waypoint), command.t_ns)
         elif isinstance(command, Hold | Return):
             robot.stop()
 
@@ -239,27 +263,53 @@ class Safety:
         return [CallOperator(now_ns, robot.name, reason)]
 
     def _measure_gaps(self) -> None:
+        """Who is too near another robot, or will be if both go on: of two the later-named, where that helps."""
         limit = self.settings.near_m
+        before = {name: robot.too_near for name, robot in self.robots.items()}
+        for robot in self.robots.values():
+            robot.too_near = False
         robots = list(self.robots.values())
         for later, mine in enumerate(robots):
-            gaps = [_gap_m(mine, other) for other in robots[:later]]
-            nearest = min(gaps, default=math.inf)
-            mine.too_near = nearest < (1.2 * limit if mine.too_near else limit)
+            for other in robots[:later]:
+                if _gap_m(mine, other) < (1.2 * limit if before[mine.name] else limit):
+                    mine.too_near = True
+                elif (yields := self._must_yield(other, mine)) is not None:
+                    yields.too_near = True
+
+    def _must_yield(self, first: Watched, second: Watched) -> Watched | None:
+        """Which of two has to stop now so that they do not meet; None where they keep clear by themselves."""
+        one, two = self._soon(first), self._soon(second)
+        if one is None or two is None or not (one.length_m or two.length_m):
+            return None
+        limit_m = min(self.settings.near_m, math.dist(one.start_m, two.start_m) - 0.01)
+        if nearest_m(one, two) >= limit_m:
+            return None
+        if two.length_m and nearest_m(one, standing(two.start_m)) >= limit_m:
+            return second
+        return first if one.length_m else second
+
+    def _soon(self, robot: Watched) -> Way | None:
+        """Its way for the next moments."""
+        way = robot.way()
+        if robot.name in self.homing.under_way and robot.place_m is not None:
+            way = replace(home_way(robot), speed_m_s=self.settings.max_speed_m_s)
+        if way is None or way.length_m == 0:
+            return way
+        return replace(way, end_m=way.at(SOON_S))
 
     # -- way-points ------------------------------------------------------------------------------------------
 
-    def _allow_goto(self, command: GoTo, waiting: set[str]) -> Command:
-        """`waiting` are robots that get a new way in the same breath: their old ways count no more."""
+    def _allow_goto(self, command: GoTo, ways: dict[str, Way], undecided: set[str]) -> Command:
+        """`ways` are new ways given in the same breath; those of `undecided` come later: their old ones are void."""
         robot = self.robots.get(command.robot)
         reason = "there is no such robot in this mission" if robot is None else self._forbids(robot, command)
         if reason or robot is None or robot.pose is None:
             return Hold(command.t_ns, command.robot, reason)
         tame = self._tame(command.waypoint, robot.pose)
-        here = (robot.pose.east_m, robot.pose.north_m)
-        way = Way(here, (tame.east_m, tame.north_m), max(tame.speed_m_s, 0.01))
+        way = _way_to((robot.pose.east_m, robot.pose.north_m), tame)
         if self.settings.keep_out.blocks(np.array([way.start_m]), np.array([way.end_m]))[0]:
             return Hold(command.t_ns, command.robot, "its way crosses ground it must keep out of")
-        if reason := self._meets(robot, way, waiting):
+        if reason := self._meets(robot, way, ways, undecided):
             return Hold(command.t_ns, command.robot, reason)
         return GoTo(command.t_ns, command.robot, tame)
 
@@ -274,16 +324,17 @@ class Safety:
         trouble = unfit(robot, self.settings, command.t_ns)
         return self._late if trouble is None else trouble.reason
 
-    def _meets(self, robot: Watched, way: Way, waiting: set[str]) -> str:
+    def _meets(self, robot: Watched, way: Way, ways: dict[str, Way], undecided: set[str]) -> str:
         """Whose way this one comes too near, however their starts fall; empty when it keeps clear."""
         limit_m = 1.2 * self.settings.near_m
         for other in self.robots.values():
-            its = other.way()
-            if other is robot or its is None or (other.name in waiting and other.moving):
+            its = ways.get(other.name) or other.way()
+            if other is robot or its is None or other.name in undecided:
                 continue
             now_m = math.dist(way.start_m, its.start_m)
-            starts = [(0.0, 0.0), (STARTS_S, 0.0), (0.0, STARTS_S)] if its.speed_m_s else [(0.0, 0.0)]
-            nearest = min(nearest_m(replace(way, delay_s=a), replace(its, delay_s=b)) for a, b in starts)
+            nearest = min(
+                nearest_m(replace(way, delay_s=a), replace(its, delay_s=b)) for a, b in _starts(its)
+            )
             if nearest < min(limit_m, now_m - 0.01):
                 return f"its way comes within {nearest:.2f} m of {other.name}"
         return ""
@@ -308,6 +359,19 @@ class Safety:
             min(max(east_m, margin_e), s.size_east_m - margin_e),
             min(max(north_m, margin_n), s.size_north_m - margin_n),
         )
+
+
+def _starts(its: Way) -> list[tuple[float, float]]:
+    """Delays of the one and the other to look at: close enough to each other to miss no meeting in between."""
+    if its.length_m == 0:
+        return [(0.0, 0.0)]
+    delays = [STARTS_S * k / 5 for k in range(1, 6)]
+    return [(0.0, 0.0), *((delay, 0.0) for delay in delays), *((0.0, delay) for delay in delays)]
+
+
+def _way_to(place_m: Place, waypoint: Waypoint) -> Way:
+    """Straight from a place to a way-point."""
+    return Way(place_m, (waypoint.east_m, waypoint.north_m), max(waypoint.speed_m_s, 0.01))
 
 
 def _gap_m(one: Watched, other: Watched) -> float:

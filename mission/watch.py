@@ -202,7 +202,7 @@ def astray(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | N
     if settings.keep_out.contains(np.array([[pose.east_m, pose.north_m]]))[0]:
         return Trouble("it has entered ground it must keep out of", after_s=0.0)
     if robot.too_near:
-        return Trouble(f"it is nearer than {settings.near_m:.2f} m to another robot")
+        return Trouble(f"it is, or would soon be, nearer than {settings.near_m:.2f} m to another robot")
     if reason := _stall(robot, settings, now_ns):
         return Trouble(reason, after_s=0.0)
     return None

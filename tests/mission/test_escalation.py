@@ -106,6 +106,31 @@ def test_old_ways_of_robots_that_get_new_ones_do_not_count() -> None:
     assert all(isinstance(c, GoTo) for c in judged)
 
 
+def test_a_robot_that_must_stay_holds_those_whose_ways_counted_on_its_leaving() -> None:
+    field = Field()
+    field.at["b"] = (2.0, 6.0)
+    field.tick(5)
+    field.safety.observe(Operator(field.t_s * S, "hold", "b"))
+    first, second = field.send(("a", 2.0, 12.0), ("b", 10.0, 6.0))
+    assert isinstance(second, Hold)
+    assert isinstance(first, Hold) and "of b" in first.reason
+
+
+def test_robots_that_come_to_meet_are_stopped_before_they_do() -> None:
+    field = Field()
+    field.send(("a", 10.0, 10.0), ("b", 6.0, 15.0))
+    field.tick(3)
+    field.at["b"] = (5.8, 7.5)  # later than reckoned: across the way of a
+    field.tick(4)
+    field.at["a"], field.at["b"] = (4.6, 6.0), (6.8, 6.6)
+    field.goal["b"] = None
+    closest = math.inf
+    for _ in range(12):
+        field.tick()
+        closest = min(closest, math.dist(*field.at.values()))
+    assert closest > 0.3
+
+
 def test_a_way_past_a_standing_robot_is_held_but_one_away_from_it_is_not() -> None:
     field = Field()
     assert isinstance(field.send(("a", 8.0, 2.0))[0], Hold)
