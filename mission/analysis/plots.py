@@ -248,3 +248,41 @@ def ellipse(east_m: float, north_m: float, cov_m2: np.ndarray, colour: str, styl
     return Ellipse(
         (east_m, north_m), spread[1], spread[0], angle=angle, fill=False, color=colour, lw=1.5, ls=style
     )
+
+
+def found_by_time(rows: Sequence[dict[str, Any]], by: str) -> Figure:
+    """Of all sources of a group's missions, the share found (for good) by each time."""
+    figure, axes = plt.subplots(figsize=(8.4, 3.2))
+    groups = sorted({row[by] for row in rows}, key=str)
+    last_s = max((row["duration_s"] for row in rows), default=1.0)
+    for index, group in enumerate(groups):
+        sources = [s for row in rows if row[by] == group for s in row["sources"]]
+        times = sorted(s["found_after_s"] for s in sources if s["found_after_s"] is not None)
+        share = np.arange(1, len(times) + 1) / max(len(sources), 1)
+        axes.step(
+            [0.0, *times, last_s], [0.0, *share, share[-1] if times else 0.0], where="post",
+            color=f"C{index % 10}", label=f"{group} ({len(sources)} sources)",
+        )  # fmt: skip
+    axes.set(
+        xlim=(0, max(last_s, 1.0)), ylim=(0, 1.02), xlabel="mission time, s", ylabel="share of sources found"
+    )
+    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
+    return figure
+
+
+def errors_by_group(rows: Sequence[dict[str, Any]], by: str) -> Figure:
+    """Distance of each find to its true source, a dot each, with the median."""
+    groups = sorted({row[by] for row in rows}, key=str)
+    figure, axes = plt.subplots(figsize=(8.4, 0.9 + 0.45 * len(groups)))
+    for index, group in enumerate(groups):
+        errors = [
+            s["error_m"] for r in rows if r[by] == group for s in r["sources"] if s["error_m"] is not None
+        ]
+        offset = np.linspace(-0.18, 0.18, len(errors)) if len(errors) > 1 else np.zeros(len(errors))
+        axes.plot(errors, index + offset, "o", ms=4, alpha=0.6, color=f"C{index % 10}")
+        if errors:
+            axes.plot([float(np.median(errors))] * 2, [index - 0.3, index + 0.3], color="black", lw=1.5)
+    axes.set_yticks(range(len(groups)), labels=[str(group) for group in groups])
+    axes.set(xlabel="distance to the true source, m", ylim=(-0.6, len(groups) - 0.4))
+    axes.set_xlim(left=0.0)
+    return figure

@@ -44,10 +44,10 @@ def silent(story: Story, covered: Coverage) -> list[str]:
     """What was searched and stayed silent, and what may be left."""
     field = story.mission.file.field
     every_s = 1.0 / covered.rate_hz
-    whole_m2 = field.size_east_m * field.size_north_m
+    share, whole_m2 = percent(covered.searched_share), field.size_east_m * field.size_north_m
     sentences = [
-        f"{percent(covered.searched_share)} of the field ({covered.searched_m2:.0f} of {whole_m2:.0f} m²) was searched: "
-        f"a source there that sends every {every_s:.0f} s on average would have been heard with {SEARCHED:.0%} or more."
+        f"{share} of the field ({covered.searched_m2:.0f} of {whole_m2:.0f} m²) was searched: a source there that "
+        f"sends every {every_s:.0f} s on average would have been heard with {SEARCHED:.0%} or more."
     ]
     if covered.searched_share < 1.0:
         where, mean = covered.weakest()

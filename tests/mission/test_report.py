@@ -1,7 +1,6 @@
 """The report: right words for what was found, silent, wrong; also where nothing was heard."""
 
 from html.parser import HTMLParser
-from math import hypot
 from pathlib import Path
 
 import pytest

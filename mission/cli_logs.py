@@ -1,0 +1,131 @@
+"""`fieldkit compare` and `fieldkit analyze`: many recordings at once. Heavy imports stay inside the commands."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+_JSON = Annotated[bool, typer.Option("--json", help="Print the result alone, as JSON, on standard output.")]
+
+
+def compare(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recordings (mission.mcap).")],
+    by: Annotated[
+        str, typer.Option(help="What to group by: planner, belief, name, robots or seed.")
+    ] = "planner",
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write a page (HTML) with the table and plots.")
+    ] = None,
+    as_json: _JSON = False,
+) -> None:
+    """Compare missions: time to find all, distance from the truth where it is known, in one table and plots.
+
+    Example: fieldkit compare runs/*/mission.mcap -o compare.html
+    """
+    from fieldkit.errors import ConfigError
+    from mission.analysis.compare import GROUPS
+    from mission.analysis.compare import compare as compare_them
+
+    if by not in GROUPS:
+        raise ConfigError(f"--by: expected one of {', '.join(GROUPS)}, got '{by}'")
+    said = compare_them(logs, out, by)
+    if as_json:
+        typer.echo(json.dumps(said | {"page": None if out is None else str(out)}, indent=2))
+        return
+    names = list(said["groups"][0])
+    _table(names, [tuple(group.values()) for group in said["groups"]])
+    columns = (
+        "recording",
+        "planner",
+        "duration_s",
+        "found",
+        "true_sources",
+        "false_finds",
+        "localised_all_s",
+        "mean_error_m",
+    )
+    _table(list(columns), [tuple(row[name] for name in columns) for row in said["missions"]])
+    if out is not None:
+        typer.echo(f"written: {out}")
+
+
+def analyze(
+    folder: Annotated[Path, typer.Argument(help="Folder with recordings anywhere in it.")],
+    results: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for the Parquet files; default: FOLDER/analysis."),
+    ] = None,
+    sql: Annotated[
+        str, typer.Option(help="A question over missions, sources, readings, detections; default: a summary.")
+    ] = "",
+    replay: Annotated[bool, typer.Option("--replay", help="Replay each mission too, and check it.")] = False,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="TABLE.KEY=VALUE", help="Replay as a what-if with this changed; repeat."
+        ),
+    ] = None,
+    dask: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to do the work.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes here; default: one a core.")] = None,
+    as_json: _JSON = False,
+) -> None:
+    """Take in hundreds of missions once, as Parquet, and ask questions in SQL.
+
+    What has been taken in is not taken in again, also after an interruption. Exit code 2 where a recording could not
+    be read; the others are still there.
+
+    Example: fieldkit analyze runs --sql "select robot, count(*), avg(rss_dbm) from readings group by robot"
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from fieldkit.extras import need
+    from mission.analysis import campaign
+
+    for module in ("pyarrow", "duckdb"):
+        need(module, "post")
+    to = results or folder / "analysis"
+    jobs = campaign.jobs_of(folder, to, replay=replay or bool(changes), keys=tuple(changes or ()))
+    with Progress(TextColumn("{task.description}"), BarColumn(), console=Console(stderr=True)) as bar:
+        task = bar.add_task("taking in", total=float(len(jobs)))
+        new, refused = campaign.run(
+            jobs,
+            lambda done, of, text: bar.update(task, completed=done, description=f"{done} of {of}"),
+            workers=workers,
+            dask=dask,
+        )
+    if len(refused) == len(jobs):
+        columns: list[str] = []
+        rows: list[tuple[Any, ...]] = []
+    else:
+        columns, rows = campaign.ask(to, jobs, sql)
+    if as_json:
+        answer = [dict(zip(columns, row, strict=True)) for row in rows]
+        said = {"recordings": len(jobs), "taken_in_now": new, "refused": refused, "answer": answer}
+        typer.echo(json.dumps(said, indent=2, default=str))
+    else:
+        typer.echo(f"{len(jobs)} recordings, {new - len(refused)} of them taken in now; in {to}")
+        if columns:
+            _table(columns, rows)
+        for each in refused:
+            typer.echo(f"not taken in: {each['error']}", err=True)
+    if refused:
+        raise typer.Exit(2)
+
+
+def _table(columns: list[str], rows: list[tuple[Any, ...]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table()
+    for name in columns:
+        table.add_column(name.replace("_", " "), overflow="fold")
+    for row in rows:
+        table.add_row(
+            *(
+                "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+                for value in row
+            )
+        )
+    Console().print(table)
