@@ -188,6 +188,10 @@ class Safety:
     def _watch(self, now_ns: int) -> list[Command]:
         """Hold robots that move though they must not; send home and call for what holding does not mend."""
         self._late = self._lateness(now_ns)
+        if self._late:  # what lasted while nobody looked is not held against a robot
+            for robot in self.robots.values():
+                robot.progress_ns = now_ns
+                robot.troubled_ns = None if robot.troubled_ns is None else now_ns
         self._measure_gaps()
         commands: list[Command] = []
         for robot in self.robots.values():

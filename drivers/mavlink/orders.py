@@ -68,7 +68,8 @@ class Orders:
                     f"{vehicle.robot}: neither ArduRover, ArduCopter nor PX4: cannot steer it"
                 )
             for number, rate_hz in RATES_HZ.items():
-                with contextlib.suppress(VehicleRefused):  # one rate it does not know is no reason to stop
+                # One rate that it does not know, or that is lost on the way, is no reason to stop: it is asked again.
+                with contextlib.suppress(VehicleRefused, DeviceTimeout):
                     await self._commander.ask(
                         vehicle,
                         f"set the rate of message {number}",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fieldkit.clock import ScaledClock
+from fieldkit import jumploop
 from fieldkit.errors import RecordingError
 from fieldkit.messages import GoTo, Operator, ReceiverState
 from fieldkit.recording.reader import open_recording
@@ -26,11 +26,15 @@ class Scene:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.mission: Mission = small_mission(folder, duration_s=60.0)
-        self.clock = ScaledClock(20.0)
+        self.mission: Mission = small_mission(folder, duration_s=200.0)
+        self.clock = jumploop.LoopClock(1_000 * 10**9)
         rovers = {name: Rover(*place) for name, place in start_places(self.mission).items()}
         self.fleet = FakeFleet(rovers, self.clock)
         self.radios = [FakeReceiver(name, self.clock) for name in rovers]
+
+    def later(self) -> None:
+        """The time at which somebody starts the mission again: a new loop counts from 0."""
+        self.clock.start_ns += 100 * 10**9
 
     def rig(self) -> Rig:
         return Rig(self.clock, tuple(self.radios), (self.fleet,))
@@ -57,7 +61,8 @@ class Scene:
             await asyncio.wait({running, noise})
 
         with self.recorder("first.mcap") as recorder:
-            asyncio.run(go(Runner(self.mission, self.rig(), recorder)))
+            jumploop.run(go(Runner(self.mission, self.rig(), recorder)))
+        self.later()
         return left
 
     def recorder(self, name: str) -> RecordingWriter:
@@ -73,7 +78,7 @@ class Scene:
             runner = Runner(resumable(past), self.rig(), recorder)
             runner.relive(past.steps())
             begun = runner.kernel.digest()
-            asyncio.run(runner.run())
+            jumploop.run(runner.run())
         return runner, begun
 
 
@@ -124,7 +129,7 @@ def test_a_mission_that_is_over_is_not_resumed(tmp_path: Path) -> None:
             runner.put(Operator(scene.clock.now_ns(), "end"))
             await runner.run()
 
-        asyncio.run(go())
+        jumploop.run(go())
     with pytest.raises(RecordingError, match="is over"):
         resumable(open_recording(tmp_path / "first.mcap"))
 
