@@ -10,7 +10,7 @@ import pydantic
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from fieldkit import plugins
-from fieldkit.antenna.file import AntennaFile, predictive_sigma_db, read_antenna
+from fieldkit.antenna.file import AntennaFile, predictive_sigma_db, read_antenna, with_pattern
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.keepout import KeepOut
 from fieldkit.engine.settings import EngineSettings
@@ -86,7 +86,7 @@ class EngineTable(_Table):
     planning_period_s: float = Field(default=30.0, gt=0)
     pose_sigma_m: float = Field(default=0.05, ge=0)
     prior_rule: Literal["literal", "uniform", "dirichlet", "em"] = "em"
-    sensing: Literal["levels", "pairwise"] = "levels"
+    sensing: Literal["levels", "pairwise", "directional"] = "levels"
 
 
 class AssociationTable(_Table):
@@ -231,7 +231,11 @@ def read_mission(path: Path) -> Mission:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     file = parse_mission(text, str(path))
     antenna_path = path.parent / file.antenna.file
-    antenna = read_antenna(antenna_path, allow_refused=file.antenna.allow_refused)
+    antenna = read_antenna(
+        antenna_path,
+        allow_refused=file.antenna.allow_refused,
+        allow_pattern=file.engine.sensing == "directional",
+    )
     return assemble(file, text, antenna, antenna_path.read_text(encoding="utf-8"), str(path))
 
 
@@ -332,9 +336,10 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
     # The calibration's own uncertainty widens every reading; at the range where most readings are made.
     typical_m = float(np.median(antenna.antenna.nominal_range_m(np.array(file.sources.power_levels_db))))
     sigma_db = float(predictive_sigma_db(antenna, typical_m))
+    radio = with_pattern(antenna) if file.engine.sensing == "directional" else antenna.antenna
     engine = EngineSettings(
         grid=Grid(field.size_east_m, field.size_north_m, field.cell_m),
-        antenna=replace(antenna.antenna, sigma_db=sigma_db),
+        antenna=replace(radio, sigma_db=sigma_db),
         teams=tuple(team.robots for team in file.team),
         power_levels_db=file.sources.power_levels_db,
         found_probability=file.engine.found_probability,

@@ -113,7 +113,8 @@ def simulate(
                     for r, (e, n) in before.items()
                 ]
             )
-            inbox += _heard(at_s, source, place, clock_s, truth, rng_channel)
+            heading = np.array([rover.heading_deg for rover in rovers.values()])
+            inbox += _heard(at_s, source, place, clock_s, truth, rng_channel, heading)
         inbox.append(Tick(round(t_s * 1e9)))
         for event in inbox:
             outcome = kernel.step(event)
@@ -153,10 +154,12 @@ def _heard(
     clock_s: dict[str, float],
     truth: Truth,
     rng: np.random.Generator,
+    heading_deg: FloatArray | float = 0.0,
 ) -> list[Event]:
-    """What the radios at `place` (m, 2) heard, in the order of `clock_s`."""
-    distance = np.hypot(*(place - (source.east_m, source.north_m)).T)
-    rss = sample_rss_dbm(truth.antenna, distance, source.power_db, rng)
+    """What the radios at `place` (m, 2), pointing to `heading_deg` (m,), heard, in the order of `clock_s`."""
+    way = np.array([source.east_m, source.north_m]) - place
+    off_front = np.degrees(np.arctan2(way[:, 0], way[:, 1])) - heading_deg
+    rss = sample_rss_dbm(truth.antenna, np.hypot(*way.T), source.power_db, rng, off_front)
     if truth.packet_loss > 0.0:
         rss = np.where(rng.random(rss.shape) < truth.packet_loss, np.nan, rss)
     ceiling = truth.antenna.saturation_dbm

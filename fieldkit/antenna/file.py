@@ -1,7 +1,7 @@
 """antenna.toml: what calibration hands to a mission. A file, not an import."""
 
 import tomllib
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -89,6 +89,20 @@ def predictive_sigma_db(
         error = table_db(heading_deg, file.pattern["heading_deg"], file.pattern["gain_sigma_db"])
         variance = variance + error**2
     return np.sqrt(variance)
+
+
+def with_pattern(file: AntennaFile) -> Antenna:
+    """The antenna with its gain by heading, for models that know the robots' headings.
+
+    Raises `ConfigError` where the file has none: every bearing would look alike.
+    """
+    if not file.pattern:
+        raise ConfigError(
+            "antenna: model: expected a directional antenna (lobe, dipole or tabulated), got 'omnidirectional': "
+            "calibrate with headings, or choose sensing 'levels'"
+        )
+    gains = gain_db(file, np.arange(360.0))
+    return replace(file.antenna, pattern_db=tuple(float(gain) for gain in gains))
 
 
 def read_antenna(path: Path, *, allow_refused: bool = False, allow_pattern: bool = False) -> AntennaFile:
@@ -227,7 +241,12 @@ def dump_antenna(file: AntennaFile) -> str:
         "saturation_dbm": "readings are never reported above this",
     }
     parameters = tomlkit.table()
-    for name, value in asdict(file.antenna).items():
+    for name, value in asdict(replace(file.antenna, pattern_db=(), alike_within_m=0.0)).items():
+        if name in (
+            "pattern_db",
+            "alike_within_m",
+        ):  # of the model; the file has its own tables for the pattern
+            continue
         if value is not None:
             parameters.add(name, value)
             parameters.value.item(name).comment(notes[name])  # type: ignore[union-attr]

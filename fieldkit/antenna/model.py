@@ -1,4 +1,4 @@
-"""Received power against distance for an omnidirectional antenna pair."""
+"""Received power against distance, and against heading where the receiver's antenna is directional."""
 
 from dataclasses import dataclass
 
@@ -29,12 +29,25 @@ class Antenna:
     """zeta: the strongest integer reading that is NOT received."""
     saturation_dbm: float | None = None
     """The receiver reports no more than this; None where it was never reached."""
+    pattern_db: tuple[float, ...] = ()
+    """Gain at evenly spaced headings clockwise from the antenna's front; empty: the same all round."""
+    alike_within_m: float = 0.0
+    """Nearer than this a directional antenna hears the same all round (RWA eq 6, d_a)."""
 
     def mean_rss_dbm(self, range_m: ArrayLike, power_db: ArrayLike = 0.0) -> FloatArray:
         """Mean reading at `range_m` from a source `power_db` above the calibrated transmitter."""
         clamped = np.maximum(np.asarray(range_m, dtype=float), MIN_RANGE_M)
         power_dbm = self.power_at_1m_dbm + np.asarray(power_db, dtype=float)
         return power_dbm - 10.0 * self.path_loss_exponent * np.log10(clamped)
+
+    def gain_db(self, off_front_deg: ArrayLike, range_m: ArrayLike = np.inf) -> FloatArray:
+        """Gain towards `off_front_deg`, clockwise from the antenna's front; 0 all round without a pattern."""
+        off = np.asarray(off_front_deg, dtype=float)
+        if not self.pattern_db:
+            return np.zeros(np.broadcast_shapes(off.shape, np.shape(range_m)))
+        at = np.arange(len(self.pattern_db)) * 360.0 / len(self.pattern_db)
+        gain = np.interp(off, at, self.pattern_db, period=360.0)
+        return np.where(np.asarray(range_m, dtype=float) <= self.alike_within_m, max(self.pattern_db), gain)
 
     def nominal_range_m(self, power_db: ArrayLike = 0.0) -> FloatArray:
         """Range at which the mean reading falls to the threshold: about half the packets are heard there."""

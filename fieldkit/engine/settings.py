@@ -7,6 +7,8 @@ from fieldkit.engine.grid import Grid
 from fieldkit.engine.keepout import NOWHERE, KeepOut
 from fieldkit.errors import ConfigError
 
+SENSING = ("levels", "pairwise", "directional")
+
 
 @dataclass(frozen=True, slots=True)
 class EngineSettings:
@@ -41,11 +43,13 @@ class EngineSettings:
     prior_rule: str = "em"
     """SPOG only: literal, uniform, dirichlet or em (notes on PRWA eq 2)."""
     sensing: str = "levels"
-    """levels (exact, power set known) or pairwise (PRWA Theorem 1); for SPOG."""
+    """levels (exact, power set known), pairwise (PRWA Theorem 1) or directional (RWA, one robot); for SPOG."""
 
     def __post_init__(self) -> None:
         if not self.power_levels_db:
             raise ConfigError("power_levels_db: expected at least one level, got none")
+        if self.sensing not in SENSING:
+            raise ConfigError(f"sensing: expected one of {', '.join(SENSING)}, got {self.sensing!r}")
         for name in ("found_probability",):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ConfigError(f"{name}: expected a number between 0 and 1, got {getattr(self, name)}")

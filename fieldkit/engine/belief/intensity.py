@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, Summary
 from fieldkit.engine.belief.mixture import Mixture
 from fieldkit.engine.settings import EngineSettings
+from fieldkit.errors import ConfigError
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
 
 WITHDRAW = 0.75
@@ -43,6 +44,11 @@ class IntensityBelief:
     """See the module. Not thread-safe; deterministic."""
 
     def __init__(self, settings: EngineSettings) -> None:
+        if settings.antenna.pattern_db:
+            raise ConfigError(
+                "belief 'intensity' takes every antenna for one that hears the same all round, and this one is "
+                "directional: choose belief 'spog' with sensing 'directional'"
+            )
         self.settings = settings
         self.grid = settings.grid
         self.mixture = Mixture(settings)

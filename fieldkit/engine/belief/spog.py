@@ -21,6 +21,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import logsumexp
 
+from fieldkit.engine.sensing.directional import DirectionalModel
 from fieldkit.engine.sensing.levels import LevelsModel
 from fieldkit.engine.sensing.pairwise import PairwiseModel
 from fieldkit.engine.settings import EngineSettings
@@ -46,9 +47,14 @@ class SpogBelief:
         self.grid = settings.grid
         n = self.grid.n_cells
         centres = self.grid.centres_m
-        if settings.sensing == "pairwise":
+        if settings.sensing == "directional":
+            directional = DirectionalModel(
+                settings.antenna, settings.power_levels_db, centres, self.grid.cell_m / 2
+            )
+            self._likelihood: Callable[[Detection], FloatArray] = directional.log_likelihood
+        elif settings.sensing == "pairwise":
             pairwise = PairwiseModel(settings.antenna, centres, self.grid.cell_m / 2)
-            self._likelihood: Callable[[Detection], FloatArray] = pairwise.log_likelihood
+            self._likelihood = pairwise.log_likelihood
         else:
             levels = LevelsModel(settings.antenna, settings.power_levels_db, self.grid.cell_m / np.sqrt(12.0))
             known = levels.n_known

@@ -12,14 +12,14 @@ _SCALE_LIMIT = 20_000
 """fast_tsp takes distances up to 65,535; free edges cost this much more than the longest, so that ridges are walked."""
 
 
-def ridge_tour(start_m: FloatArray, ends_m: FloatArray) -> list[tuple[int, bool]]:
-    """Order and direction of ridges (k, 2, 2) for an open tour from `start_m`: (index, reversed).
+def ridge_tour(start_m: FloatArray, ends_m: FloatArray, *, closed: bool = False) -> list[tuple[int, bool]]:
+    """Order and direction of ridges (k, 2, 2) for a tour from `start_m`, and back if `closed`: (index, reversed).
 
     Exact up to `EXACT_RIDGES`, else by fast_tsp with each ridge a mandatory edge.
     """
     count = len(ends_m)
     if count <= EXACT_RIDGES:
-        return _exact(start_m, ends_m)
+        return _exact(start_m, ends_m, closed)
     # Nodes: start, both ends of each ridge, and a dummy that closes the tour for nothing.
     nodes = np.concatenate([start_m[None], ends_m.reshape(-1, 2)])
     distance = np.hypot(*(nodes[:, None, :] - nodes[None, :, :]).transpose(2, 0, 1))
@@ -28,6 +28,9 @@ def ridge_tour(start_m: FloatArray, ends_m: FloatArray) -> list[tuple[int, bool]
         scaled[1 + 2 * ridge, 2 + 2 * ridge] = scaled[2 + 2 * ridge, 1 + 2 * ridge] = 0
     full = np.full((len(nodes) + 1, len(nodes) + 1), _SCALE_LIMIT, dtype=int)
     full[:-1, :-1] = scaled
+    # An open tour may end anywhere; a closed one ends where it began: the dummy lies on the start.
+    if closed:
+        full[-1, :-1] = full[:-1, -1] = scaled[0]
     full[-1, 0] = full[0, -1] = 0
     np.fill_diagonal(full, 0)
     route = fast_tsp.find_tour(full.tolist(), duration_seconds=0.02)
@@ -42,7 +45,7 @@ def ridge_tour(start_m: FloatArray, ends_m: FloatArray) -> list[tuple[int, bool]
     return order
 
 
-def _exact(start_m: FloatArray, ends_m: FloatArray) -> list[tuple[int, bool]]:
+def _exact(start_m: FloatArray, ends_m: FloatArray, closed: bool) -> list[tuple[int, bool]]:
     best: list[tuple[int, bool]] = []
     best_length = np.inf
     for order in permutations(range(len(ends_m))):
@@ -52,19 +55,22 @@ def _exact(start_m: FloatArray, ends_m: FloatArray) -> list[tuple[int, bool]]:
                 entry, leave = ends_m[ridge][::-1] if flip else ends_m[ridge]
                 length += float(np.hypot(*(entry - here)))
                 here = leave
+            length += float(np.hypot(*(start_m - here))) if closed else 0.0
             if length < best_length:
                 best, best_length = list(zip(order, flips, strict=True)), length
     return best
 
 
-def off_ridge_m(start_m: FloatArray, ends_m: FloatArray, order: list[tuple[int, bool]]) -> float:
-    """Length of the tour between ridges."""
+def off_ridge_m(
+    start_m: FloatArray, ends_m: FloatArray, order: list[tuple[int, bool]], *, closed: bool = False
+) -> float:
+    """Length of the tour between ridges, with the way back to the start if `closed`."""
     here, length = start_m, 0.0
     for ridge, flip in order:
         entry, leave = ends_m[ridge][::-1] if flip else ends_m[ridge]
         length += float(np.hypot(*(entry - here)))
         here = leave
-    return length
+    return length + (float(np.hypot(*(start_m - here))) if closed else 0.0)
 
 
 def time_on_ridges_s(

@@ -1,0 +1,98 @@
+"""Ridge walking for single robots (RWA Algorithm 2; RWA-2009 is the same walk on an older sensing model).
+
+The level set of P(C_i) at p = (6/n) sum P falls into components, each with a ridge; a robot tours them, staying on
+each in proportion to the component's summed probability. Where nothing stands out it walks at random.
+
+Deviations from the print: the level is capped at half of the largest P, since (6/n) sum P passes 1 after some n/6
+receptions and the level set would be empty for ever; cells of sources already found are taken out, so that their
+ridges take no more time (the paper removes identified sources); ridges are swept back and forth at full speed, as
+robots cannot crawl. With more than one robot ridges are divided as PRWA divides them over pairs.
+"""
+
+import numpy as np
+
+from fieldkit.engine.belief.base import Belief
+from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.detour import Detours
+from fieldkit.engine.planning.prwa import assign, cluster_ridges
+from fieldkit.engine.planning.ridges import Ridge, find_ridges
+from fieldkit.engine.planning.schedule import ridge_schedule
+from fieldkit.engine.planning.tour import ridge_tour
+from fieldkit.engine.planning.walks import random_corners, steer, typical_range_m
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import FloatArray, Plan, Waypoint
+
+LEVEL_FACTOR = 6.0
+
+
+def level_of(presence: FloatArray, *, capped: bool = True) -> float:
+    """p = (6/n) sum P(C_i) (RWA section VII.C); `capped` at half of the largest P."""
+    level = LEVEL_FACTOR * float(presence.mean())
+    return min(level, 0.5 * float(presence.max())) if capped else level
+
+
+class RwaPlanner:
+    """See the module."""
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self.settings = settings
+        self._rng = np.random.default_rng([settings.seed, 0x12A])
+        self._detours = Detours(settings.grid, settings.keep_out)
+
+    def plan(self, situation: Situation, belief: Belief) -> Plan:
+        """A tour of ridges for every robot there are ridges for; a random walk for the others."""
+        presence = self._without_found(belief)
+        ridges = [r for r in self._ridges(presence) if r.weight > 0.0]
+        groups = [(robot,) for team in situation.teams for robot in team]
+        clusters = cluster_ridges(ridges, min(len(groups), len(ridges)), self._rng)
+        starts = [np.array(situation.position_m[robot]) for (robot,) in groups]
+        assigned = assign(clusters, starts)
+        paths: dict[str, tuple[Waypoint, ...]] = {}
+        purpose: dict[str, str] = {}
+        for index, ((robot,), start) in enumerate(zip(groups, starts, strict=True)):
+            if index in assigned:
+                corners, why = self._walk(clusters[assigned[index]], start), "ridge"
+            else:
+                corners, why = random_corners(self.settings, start, self._rng), "walk"
+            corners = self._round(start, corners)
+            if len(corners) == 0:
+                paths[robot], purpose[robot] = (), "wait"
+                continue
+            paths |= steer(self.settings, (robot,), start[None], corners, typical_range_m(self.settings))
+            purpose[robot] = why
+        return Plan(situation.t_ns, paths, purpose)
+
+    def _without_found(self, belief: Belief) -> FloatArray:
+        """P(C_i) with the neighbourhoods of found sources taken out."""
+        presence = np.array(belief.presence())
+        grid = self.settings.grid
+        for source in belief.sources():
+            if source.state == "found":
+                reach = max(2.0 * grid.cell_m, float(np.sqrt(source.region_90)) * grid.cell_m)
+                near = np.hypot(*(grid.centres_m - (source.east_m, source.north_m)).T) <= reach
+                presence.ravel()[near] = 0.0
+        return presence
+
+    def _ridges(self, presence: FloatArray) -> list[Ridge]:
+        """RWA weighs a ridge by the summed P(C_i) of its component (eq 29)."""
+        level = level_of(presence)
+        return find_ridges(presence, presence, level, self.settings.grid) if level > 1e-9 else []
+
+    def _walk(self, ridges: list[Ridge], start_m: FloatArray) -> FloatArray:
+        ends = np.array([ridge.ends_m for ridge in ridges])
+        weights = np.array([ridge.weight for ridge in ridges])
+        order = ridge_tour(start_m, ends)
+        period, speed = self.settings.planning_period_s, self.settings.max_speed_m_s
+        return ridge_schedule(start_m, ends, order, weights, period, speed, sweeps=True).corners_m()
+
+    def _round(self, start_m: FloatArray, corners_m: FloatArray) -> FloatArray:
+        """The corners with ways round what must not be entered; those that cannot be reached are left out."""
+        if not self.settings.keep_out.polygons:
+            return corners_m
+        here, ways = start_m, []
+        for corner in corners_m:
+            way = self._detours.way(here, corner)
+            if way is not None:
+                ways.append(way)
+                here = corner
+        return np.concatenate(ways) if ways else np.empty((0, 2))
