@@ -42,6 +42,9 @@ class PastShow:
                 next_s = frame["t_s"] + every_s
                 self._frames.append((frame["t_s"], json.dumps(frame)))
                 self._grids += [(frame["t_s"], each["name"], json.dumps(each)) for each in view.grids()]
+        last = view.frame()  # what came with the last tick, and after it
+        self._frames.append((last["t_s"], json.dumps(last)))
+        self._grids += [(last["t_s"], each["name"], json.dumps(each)) for each in view.grids()]
         self._view = view
         self._hello = json.dumps(view.hello() | {"live": False, "duration_s": self.duration_s})
         self._players: dict[Mailbox, asyncio.Task[None]] = {}

@@ -33,8 +33,9 @@ def wait_until(condition: Callable[[], object], timeout_s: float = 30.0) -> None
     raise AssertionError(f"did not happen within {timeout_s:g} s")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
+    """Not for the whole session: while it is open, this thread has an event loop that runs."""
     if CHROMIUM is None:
         pytest.skip("no chromium on this machine: apt-get install chromium")
     playwright = pytest.importorskip(

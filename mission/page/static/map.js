@@ -169,7 +169,7 @@ function drawTracks(frame) {
     pen.lineJoin = "round";
     if (track.length > 1) {
       const recent = track.length - Math.min(track.length, 60);
-      pen.globalAlpha = 0.35; pen.lineWidth = 1.5;
+      pen.globalAlpha = 0.22; pen.lineWidth = 1.5;
       path(track.slice(0, recent + 1).map((p) => [p[1], p[2]])); pen.stroke();
       pen.globalAlpha = 0.85; pen.lineWidth = 2;
       path(track.slice(recent).map((p) => [p[1], p[2]])); pen.stroke();
@@ -205,9 +205,10 @@ function drawSources(frame) {
     }
     pen.strokeStyle = css.map; pen.lineWidth = 5; cross(x, y, is.removed); pen.stroke();
     pen.strokeStyle = colour; pen.lineWidth = 2.5; cross(x, y, is.removed); pen.stroke();
-    pen.textAlign = "left"; pen.textBaseline = "bottom";
+    const right = x > view.width - 70; // near the edge words go to the other side
+    pen.textAlign = right ? "right" : "left"; pen.textBaseline = "bottom";
     const words = is.removed ? "removed" : source.state === "doubtful" ? "?" : `${Math.round(100 * source.p)} %`;
-    halo(`${source.ident}  ${words}`, x + 9, y - 5, colour, "700 12px system-ui");
+    halo(`${source.ident}  ${words}`, x + (right ? -9 : 9), y - 5, colour, "700 12px system-ui");
   }
 }
 function cross(x, y, turned) {

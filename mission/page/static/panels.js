@@ -69,6 +69,7 @@ function fillCard(part, robot) {
   const answer = robot.answer === "done" ? "✓" : robot.answer === "..." ? "…" : robot.answer ? `✗ ${robot.answer}` : "";
   const words = [robot.command && `${robot.command} ${robot.why}`, answer].filter(Boolean).join(" ");
   set(part.last, [words, robot.text].filter(Boolean).join("  ·  "));
+  part.hold.parentElement.hidden = !model.hello.live;
   for (const action of ["hold", "return", "release", "resume"]) part[action].disabled = !model.mayCommand;
 }
 const age = (seconds) => (seconds === null ? "–" : seconds < 1 ? "now" : `${seconds.toFixed(seconds < 10 ? 1 : 0)} s ago`);
@@ -111,7 +112,7 @@ function sources(frame) {
     set(part.p, `${Math.round(100 * source.p)} %`, `p ${source.state}`);
     const spread = source.half_axes_m[0] === null ? "" : `90 % within ${source.half_axes_m[0].toFixed(1)} m`;
     set(part.more, [source.state, spread, `heard ${source.receptions.toFixed(0)} ×`, source.note].filter(Boolean).join(" · "));
-    part.button.parentElement.hidden = source.state === "removed" || source.state === "candidate";
+    part.button.parentElement.hidden = !model.hello.live || source.state === "removed" || source.state === "candidate";
     part.button.disabled = !model.mayCommand;
   });
   let empty = box.querySelector(".empty");
