@@ -11,7 +11,9 @@ import typer
 
 if TYPE_CHECKING:
     from mission.config import Mission
+    from mission.journal import Follower
     from mission.page.serve import LivePage
+    from mission.replaying import Changes
 
 PageOption = Annotated[bool, typer.Option("--page/--no-page", help="Serve the live page.")]
 HostOption = Annotated[
@@ -198,6 +200,7 @@ def replay(
         float | None,
         typer.Option(min=0.01, help="Watch it at this many times real time; default: as fast as it goes."),
     ] = None,
+    page: Annotated[bool, typer.Option("--page", help="With --speed: watch it in the live page.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Re-run the engine on recordings: the same belief and commands, or the first event that differs.
@@ -210,18 +213,21 @@ def replay(
 
     Example: fieldkit replay mission.mcap --set engine.found_probability=0.95
     """
-    from fieldkit.errors import FieldkitError
+    from fieldkit.errors import ConfigError, FieldkitError
     from mission.console import sources_table
     from mission.pace import Pace, line
     from mission.replaying import Changes, replay_one
 
     changed = Changes(antenna, belief, planner, tuple(changes or ()), whatif)
+    if page and (speed is None or len(logs) != 1):
+        raise ConfigError("--page: shows one recording at a --speed; give both")
     results: list[dict[str, Any]] = []
     worst = 0
     for log in logs:
         pace = None if speed is None else Pace(speed, lambda now: _say(line(now)))
         try:
-            plain = replay_one(log, changed, until_s=until, on_step=pace)
+            with _replay_page(log, changed, page) as followers:
+                plain = replay_one(log, changed, until_s=until, on_step=pace, followers=followers)
         except FieldkitError as error:
             if len(logs) == 1:
                 raise
@@ -397,6 +403,21 @@ def dashboard(
         _say(f"open {page.address}   (Ctrl-C ends it)")
         while True:
             wall_sleep(0.5)
+
+
+@contextmanager
+def _replay_page(log: Path, changes: "Changes", wanted: bool) -> "Iterator[tuple[Follower, ...]]":
+    """The page a replay is watched in; nobody follows where it is not wanted."""
+    if not wanted:
+        yield ()
+        return
+    from fieldkit.recording.reader import open_recording
+    from mission.page import serve
+    from mission.replaying import changed_mission
+
+    with serve.live(changed_mission(open_recording(log), changes)) as shown:
+        _say(f"to look, open  {shown.page.address}")
+        yield (shown.follower,)
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from fieldkit.errors import ConfigError, DataError, RecordingError, ReplayMismat
 from fieldkit.messages import Command, Event
 from fieldkit.recording.reader import Recording, Step, open_recording
 from mission.config import Mission, assemble, parse_mission
+from mission.journal import Follower, Journal
 from mission.kernel import Kernel, Outcome, state_digest
 from mission.safety import Safety
 
@@ -88,17 +89,20 @@ def replay(
     check: bool = True,
     until_s: float | None = None,
     on_step: Callable[[float, Event, Outcome, Kernel], None] | None = None,
+    followers: Sequence[Follower] = (),
 ) -> Replayed:
     """Feed the recorded inbox through a fresh kernel and safety.
 
     With `check`, every command and every recorded belief digest must come out the same: `ReplayMismatch` names the
     first event that differs. Without, the outcome is a what-if: another antenna, belief or planner on the same inbox.
-    `on_step` is called after each event with its mission time: to pace a replay, or to show it.
+    `on_step` is called after each event with its mission time, to pace a replay. `followers` are told everything as
+    the mission's own would be: a live page, another recording.
     """
     recording = open_recording(path)
     mission = mission or recorded_mission(recording)
     kernel, safety = Kernel(mission.kernel), Safety(mission.safety)
     expected = _Expected(recording) if check else None
+    journal = Journal(kernel, mission.kernel.engine.grid.cell_m, *followers) if followers else None
     began = wall_s()
     count, first_ns, last_ns = 0, None, 0
     for step in recording.steps():
@@ -114,6 +118,8 @@ def replay(
             given += [("kernel", asked), ("safety", allowed)]
         if expected is not None:
             expected.compare(step, given, kernel)
+        if journal is not None:
+            _tell(journal, step, outcome, given)
         if on_step is not None:
             on_step(t_s, step.event, outcome, kernel)
     if count == 0:
@@ -130,6 +136,15 @@ def replay(
         recording.missing,
         count if expected is None else expected.compared,
     )
+
+
+def _tell(journal: Journal, step: Step, outcome: Outcome, given: list[tuple[str, Command]]) -> None:
+    journal.event(step.inbox_number, step.log_time_ns, step.event)
+    for origin, command in given:
+        journal.command(
+            step.inbox_number, step.log_time_ns, command, "kernel" if origin == "kernel" else "safety"
+        )
+    journal.outcome(step.inbox_number, step.log_time_ns, outcome)
 
 
 class _Expected:

@@ -1,6 +1,6 @@
 """One recording replayed for the command line: checked, or with something changed and then compared."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,8 @@ from fieldkit.antenna.file import read_antenna
 from fieldkit.errors import DataError
 from fieldkit.messages import Event, Plan
 from fieldkit.recording.reader import Recording, open_recording
+from mission.config import Mission
+from mission.journal import Follower
 from mission.kernel import Kernel, Outcome
 from mission.replay import recorded_mission, replay, same_antenna, what_if
 
@@ -34,9 +36,14 @@ class Changes:
 
 
 def replay_one(
-    log: Path, changes: Changes, *, until_s: float | None = None, on_step: OnStep | None = None
+    log: Path,
+    changes: Changes,
+    *,
+    until_s: float | None = None,
+    on_step: OnStep | None = None,
+    followers: Sequence[Follower] = (),
 ) -> dict[str, Any]:
-    """Replay one recording; what came out as plain values.
+    """Replay one recording; what came out as plain values. `on_step` and `followers` as for `mission.replay.replay`.
 
     Raises `ReplayMismatch` where a check fails, `DataError` where `until_s` lies outside the log or an antenna is
     given that the mission was not flown with.
@@ -45,14 +52,11 @@ def replay_one(
     lasts_s = recording.summary()["duration_s"] if until_s is not None else 0.0
     if until_s is not None and not 0.0 < until_s <= lasts_s:
         raise DataError(f"{log}: --until {until_s:g} s lies outside the log, which lasts {lasts_s:.1f} s")
-    given = read_antenna(changes.antenna) if changes.antenna is not None else None
-    text = changes.antenna.read_text(encoding="utf-8") if changes.antenna else ""
-    mission = recorded_mission(recording, given, text)
     merged = "merged" in recording.metadata
     different = changes.any or merged
+    mission = changed_mission(recording, changes)
     if changes.antenna is not None and not different:
         same_antenna(recording, mission, changes.antenna)
-    mission = what_if(mission, belief=changes.belief, planner=changes.planner, changes=changes.keys)
     plans: list[Plan] = []
 
     def keep(t_s: float, event: Event, outcome: Outcome, kernel: Kernel) -> None:
@@ -61,7 +65,9 @@ def replay_one(
         if on_step is not None:
             on_step(t_s, event, outcome, kernel)
 
-    done = replay(log, mission=mission, check=not different, until_s=until_s, on_step=keep)
+    done = replay(
+        log, mission=mission, check=not different, until_s=until_s, on_step=keep, followers=followers
+    )
     plain: dict[str, Any] = {
         "recording": str(log),
         "events": done.events,
@@ -80,6 +86,14 @@ def replay_one(
     if different:
         plain["planner"] = compare_plans(recording, plans, until_s)
     return plain
+
+
+def changed_mission(recording: Recording, changes: Changes) -> Mission:
+    """The mission a recording was made with, changed as asked."""
+    given = read_antenna(changes.antenna) if changes.antenna is not None else None
+    text = changes.antenna.read_text(encoding="utf-8") if changes.antenna else ""
+    mission = recorded_mission(recording, given, text)
+    return what_if(mission, belief=changes.belief, planner=changes.planner, changes=changes.keys)
 
 
 def _verdict(merged: bool, different: bool, complete: bool, compared: int) -> str:

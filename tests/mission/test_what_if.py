@@ -129,3 +129,21 @@ def test_recordings_apart_merge_into_one_that_hears_the_same(log: Path, tmp_path
     said = replay_one(out, Changes())
     assert said["identical"] is None and "merged" in said["verdict"]
     assert said["events"] > len(heard)
+
+
+def test_followers_are_told_what_the_mission_told_its_recording(log: Path, tmp_path: Path) -> None:
+    """Replayed into another recording: the same messages on every topic of ours, in the same order."""
+    again = tmp_path / "again.mcap"
+    with RecordingWriter(again) as writer:
+        replay(log, followers=[writer])
+    kinds = ("event", "command", "detection", "plan", "sources")
+    first, second = (list(open_recording(path).items(*kinds)) for path in (log, again))
+    assert len(second) >= len(first) - 1  # the mission's last look at its sources came after its last event
+    for mine, its in zip(first, second, strict=False):
+        assert (mine.kind, mine.inbox_number, mine.origin) == (its.kind, its.inbox_number, its.origin)
+        assert repr(mine.value) == repr(its.value)
+
+
+def test_the_page_wants_a_speed_and_one_recording(log: Path) -> None:
+    done = CliRunner().invoke(build(), ["replay", str(log), "--page"])
+    assert isinstance(done.exception, ConfigError)
