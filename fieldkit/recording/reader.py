@@ -15,7 +15,7 @@ from fieldkit.errors import RecordingError
 from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate, Tick
 from fieldkit.recording import codec
 from fieldkit.recording.records import NO_INDEX, Contents, is_whole, walk
-from fieldkit.recording.schema import BY_NAME, HEADER, SCHEMA, BeliefDigest, Note, Topic
+from fieldkit.recording.schema import BY_NAME, HEADER, RESULT, SCHEMA, BeliefDigest, Note, Topic
 from fieldkit.recording.writer import part_path
 
 logger = logging.getLogger(__name__)
@@ -166,6 +166,9 @@ class Recording:
 
     def result(self) -> dict[str, Any] | None:
         """How the mission ended; None where it was cut before its end."""
+        if self.complete:
+            data = _by_index(self.parts[-1], RESULT.name)
+            return None if data is None else self._decode(RESULT, data, 0)[0]
         return next((item.value for item in self.items("result")), None)
 
     def beliefs(self, name: str = "p") -> Iterator[BeliefGrid]:
@@ -306,6 +309,15 @@ def _header(path: Path) -> dict[str, Any]:
             f"{path}: recording schema {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
         )
     return header
+
+
+def _by_index(path: Path, topic: str) -> bytes | None:
+    """The last message on a topic of a complete file, by its index: without reading the rest."""
+    with path.open("rb") as stream:
+        found = [
+            message.data for _, _, message in make_reader(stream, validate_crcs=True).iter_messages([topic])
+        ]
+    return found[-1] if found else None
 
 
 def _indexed(path: Path) -> tuple[Counter[str], int | None, int | None]:

@@ -28,6 +28,9 @@ from fieldkit.recording.schema import HEADER_COPY
 T = TypeVar("T")
 
 _HEAD = struct.Struct("<BQ")
+_HEAD_SIZE = _HEAD.size
+#: As plain numbers: comparing with the enumeration costs more than reading a record does.
+_INDEX, _LAST = int(Opcode.MESSAGE_INDEX), (int(Opcode.DATA_END), int(Opcode.FOOTER))
 _MESSAGE = struct.Struct("<HIQQ")
 _FOOTER_SIZE = _HEAD.size + 20
 _DATA_END_SIZE = _HEAD.size + 4
@@ -71,6 +74,8 @@ class Contents:
     """What is missing or damaged, in words."""
     orphans: int = 0
     """Messages whose channel was lost: their topic is unknown."""
+    decompressor: zstandard.ZstdDecompressor = field(default_factory=zstandard.ZstdDecompressor)
+    """Made once: making one costs more than a small chunk does."""
 
 
 def is_whole(path: Path) -> bool:
@@ -156,19 +161,21 @@ def _record(
 ) -> tuple[int | None, bytes | None]:
     """Where the record at `position` ends (None: the data section is over), and its data if it is a chunk."""
     stream.seek(position)
-    head = stream.read(_HEAD.size)
-    if len(head) < _HEAD.size:
+    head = stream.read(_HEAD_SIZE)
+    if len(head) < _HEAD_SIZE:
         raise EOFError
     opcode, length = _HEAD.unpack(head)
-    if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+    if opcode in _LAST:
         return None, None
-    end = position + _HEAD.size + length
+    end = position + _HEAD_SIZE + length
     if end > size:
         raise EOFError
+    if opcode == _INDEX:  # most records are
+        return end, None
     if opcode == Opcode.CHUNK:
         body = stream.read(length)
         try:
-            return end, _verified(body)
+            return end, _verified(body, contents.decompressor)
         except _DAMAGE as error:
             raise _BadChunk(end, str(error)) from error
     if opcode == Opcode.ATTACHMENT:
@@ -217,7 +224,7 @@ def _next_chunk(stream: BinaryIO, start: int, failed: Container[int]) -> int | N
     return None
 
 
-def _verified(body: bytes) -> bytes:
+def _verified(body: bytes, decompressor: zstandard.ZstdDecompressor) -> bytes:
     """The uncompressed data of a chunk record. Raises one of `_DAMAGE` where its CRC does not agree."""
     chunk = Chunk.read(ReadDataStream(BytesIO(body)))
     # Sizes are checked first: a damaged one must not make us ask for terabytes.
@@ -225,7 +232,7 @@ def _verified(body: bytes) -> bytes:
         raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes, compression {chunk.compression!r}")
     if zstandard.frame_content_size(chunk.data) != chunk.uncompressed_size:
         raise ValueError("a chunk whose sizes disagree")
-    data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+    data = decompressor.decompress(chunk.data, chunk.uncompressed_size)
     if zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError("a chunk whose CRC does not agree")
     return data
