@@ -136,18 +136,23 @@ class Runner:
             tasks.append(asyncio.create_task(self._start(), name="start"))
             with self._interruptible():
                 while not self.end_reason:
-                    get = asyncio.create_task(self._inbox.get())
-                    done, _ = await asyncio.wait({get, *tasks}, return_when=asyncio.FIRST_COMPLETED)
-                    for task in done - {get}:
-                        tasks.remove(task)
-                        if not task.cancelled() and (error := task.exception()) is not None:
-                            get.cancel()
-                            raise error
-                    if get not in done:
-                        await asyncio.wait({get})
-                    await self._step(*get.result(), pool)
+                    await self._step(*await self._next(tasks), pool)
             await self._finish(clock.now_ns())
         return self.end_reason
+
+    async def _next(self, tasks: list[asyncio.Task[Any]]) -> tuple[int, int, Event]:
+        """What comes next out of the inbox. Raises what one of the tasks has raised."""
+        get = asyncio.create_task(self._inbox.get())
+        try:
+            while not get.done():
+                done, _ = await asyncio.wait({get, *tasks}, return_when=asyncio.FIRST_COMPLETED)
+                for task in done - {get}:
+                    tasks.remove(task)
+                    if not task.cancelled() and (error := task.exception()) is not None:
+                        raise error
+            return get.result()
+        finally:
+            get.cancel()
 
     # -- what comes in ---------------------------------------------------------------------------------------
 

@@ -60,7 +60,7 @@ class Size:
     duration_s: float
 
 
-SMALL, LARGE = Size(4, 10.0, 3, 420.0), Size(16, 20.0, 6, 300.0)
+SMALL, LARGE = Size(4, 10.0, 2, 300.0), Size(16, 20.0, 4, 160.0)
 
 
 @dataclass(frozen=True, slots=True)
