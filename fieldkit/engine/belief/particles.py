@@ -95,13 +95,10 @@ class ParticleFilter:
         """(n_north, n_east) expected number of unidentified sources in each cell of a grid over the field."""
         free = self.place[:, len(self.found) :].reshape(-1, 2)
         weight = np.repeat(self.weight, self.sources - len(self.found))
-        counts, _, _ = np.histogram2d(
-            free[:, 1],
-            free[:, 0],
-            bins=cells,
-            range=((0, self.size_m[1]), (0, self.size_m[0])),
-            weights=weight,
-        )
+        column = np.minimum((free[:, 0] * (cells[1] / self.size_m[0])).astype(int), cells[1] - 1)
+        row = np.minimum((free[:, 1] * (cells[0] / self.size_m[1])).astype(int), cells[0] - 1)
+        counts = np.bincount(row * cells[1] + column, weights=weight, minlength=cells[0] * cells[1])
+        counts = counts.reshape(cells).astype(float)
         return np.asarray(ndimage.gaussian_filter(counts, smooth_cells, mode="constant"))
 
     def most_probable(self, cell_m: float) -> tuple[float, float]:
