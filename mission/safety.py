@@ -40,7 +40,7 @@ from fieldkit.messages import (
 )
 from mission.homing import Homing, home_way
 from mission.watch import SafetySettings, Trouble, Watched, trouble_of, unfit
-from mission.ways import Place, Way, nearest_m, standing
+from mission.ways import Place, Way, keep_apart_m, nearest_m, standing
 
 __all__ = ["Safety", "SafetySettings"]
 
@@ -273,17 +273,21 @@ class Safety:
         for robot in self.robots.values():
             robot.too_near = False
         robots = list(self.robots.values())
+        soon = [self._soon(robot) for robot in robots]
         for later, mine in enumerate(robots):
-            for other in robots[:later]:
+            for earlier, other in enumerate(robots[:later]):
                 if _gap_m(mine, other) < (1.2 * limit if before[mine.name] else limit):
                     mine.too_near = True
-                elif (yields := self._must_yield(other, mine)) is not None:
+                elif (yields := self._must_yield(other, mine, soon[earlier], soon[later])) is not None:
                     yields.too_near = True
 
-    def _must_yield(self, first: Watched, second: Watched) -> Watched | None:
-        """Which of two has to stop now so that they do not meet; None where they keep clear by themselves."""
-        one, two = self._soon(first), self._soon(second)
+    def _must_yield(
+        self, first: Watched, second: Watched, one: Way | None, two: Way | None
+    ) -> Watched | None:
+        """Which of two has to stop now so that they do not meet on their next ways; None where they keep clear."""
         if one is None or two is None or not (one.length_m or two.length_m):
+            return None
+        if keep_apart_m(one, two) >= self.settings.near_m:
             return None
         limit_m = min(self.settings.near_m, math.dist(one.start_m, two.start_m) - 0.01)
         if nearest_m(one, two) >= limit_m:
@@ -333,7 +337,7 @@ class Safety:
         limit_m = 1.2 * self.settings.near_m
         for other in self.robots.values():
             its = ways.get(other.name) or other.way()
-            if other is robot or its is None or other.name in undecided:
+            if other is robot or its is None or other.name in undecided or keep_apart_m(way, its) >= limit_m:
                 continue
             now_m = math.dist(way.start_m, its.start_m)
             nearest = min(

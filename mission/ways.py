@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -22,14 +22,15 @@ class Way:
     end_m: Place
     speed_m_s: float = 0.0
     delay_s: float = 0.0
+    length_m: float = field(init=False, repr=False, compare=False)
+    arrival_s: float = field(init=False, repr=False, compare=False)
 
-    @property
-    def length_m(self) -> float:
-        return math.dist(self.start_m, self.end_m)
-
-    @property
-    def arrival_s(self) -> float:
-        return self.delay_s + (self.length_m / self.speed_m_s if self.speed_m_s > 0 else 0.0)
+    def __post_init__(self) -> None:
+        # Once: safety looks at the ways of every two robots at every tick.
+        length_m = math.dist(self.start_m, self.end_m)
+        object.__setattr__(self, "length_m", length_m)
+        takes_s = length_m / self.speed_m_s if self.speed_m_s > 0 else 0.0
+        object.__setattr__(self, "arrival_s", self.delay_s + takes_s)
 
     def at(self, t_s: float) -> Place:
         """Where it is after `t_s`."""
@@ -48,11 +49,13 @@ def standing(place_m: Place) -> Way:
 def nearest_m(one: Way, other: Way) -> float:
     """The least distance between two robots that set out now, each at its speed."""
     moments = sorted({0.0, one.delay_s, other.delay_s, one.arrival_s, other.arrival_s})
-    nearest = math.dist(one.at(moments[-1]), other.at(moments[-1]))
-    for begin_s, end_s in pairwise(moments):
-        a, b = _apart(one, other, begin_s), _apart(one, other, end_s)
-        nearest = min(nearest, _from_origin(a, b))
-    return nearest
+    apart = [_apart(one, other, t_s) for t_s in moments]
+    return min((_from_origin(a, b) for a, b in pairwise(apart)), default=math.hypot(*apart[-1]))
+
+
+def keep_apart_m(one: Way, other: Way) -> float:
+    """A distance they cannot come nearer than, whatever their speeds: quickly told, and rarely more than needed."""
+    return math.dist(one.start_m, other.start_m) - one.length_m - other.length_m
 
 
 def ever_m(one: Way, other: Way) -> float:

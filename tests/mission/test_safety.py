@@ -39,7 +39,7 @@ def test_a_good_command_passes_unchanged() -> None:
 def test_nothing_leaves_the_fence_or_exceeds_speed_and_leg(east: float, north: float, speed: float) -> None:
     allowed = ready().allow(goto(east, north, speed))
     if isinstance(allowed, Hold):
-        assert not all(map(math.isfinite, (east, north, speed)))
+        assert not all(map(math.isfinite, (east, north, speed))) or "comes within" in allowed.reason
         return
     assert isinstance(allowed, GoTo)
     target = allowed.waypoint
