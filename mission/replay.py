@@ -14,6 +14,7 @@ from fieldkit.clock import wall_s
 from fieldkit.errors import ConfigError, DataError, RecordingError, ReplayMismatch
 from fieldkit.messages import Command, Event
 from fieldkit.recording.reader import Recording, Step, open_recording
+from fieldkit.recording.schema import software
 from mission.config import Mission, assemble, parse_mission
 from mission.journal import Follower, Journal
 from mission.kernel import Kernel, Outcome, state_digest
@@ -156,10 +157,10 @@ class _Expected:
     def __init__(self, recording: Recording) -> None:
         self.path = recording.path
         self.compared = 0
+        self._recording = recording
         self._whole = recording.complete
         self._next: int | None = None
         self._lost = False
-        self._result: dict[str, Any] | None = recording.result()
 
     def compare(self, step: Step, given: list[tuple[str, Command]], kernel: Kernel) -> None:
         """Raise `ReplayMismatch` where this event led to something else than recorded."""
@@ -169,24 +170,38 @@ class _Expected:
         if step.known and not self._lost:
             self._check(step, given, kernel.digest() if step.digest else "")
 
+    @property
+    def _made_with(self) -> str:
+        """What the recording was made with, where that is not what replays it."""
+        made, here = self._recording.software, software()
+        differing = [
+            f"{name} {made[name]} (here {here.get(name, 'none')})"
+            for name in made
+            if made[name] != here.get(name)
+        ]
+        return f"; it was recorded with {', '.join(differing)}" if differing else ""
+
     def _check(self, step: Step, given: list[tuple[str, Command]], digest: str) -> None:
         where = f"event {step.inbox_number} ({type(step.event).__name__} at {step.event.t_ns} ns)"
         if step.commands != given:
             raise ReplayMismatch(
                 f"{self.path}: {where} led to other commands: recorded {_say(step.commands)}, replayed {_say(given)}"
+                f"{self._made_with}"
             )
         if step.digest != digest:
             raise ReplayMismatch(
                 f"{self.path}: after {where} the belief differs: recorded {step.digest[:16]}, replayed {digest[:16]}"
+                f"{self._made_with}"
             )
         self.compared += 1
 
     def compare_end(self, kernel: Kernel) -> None:
         """The final digests, where the mission came to its end and nothing of it is missing."""
-        if not self._whole or self._result is None:
-            return
-        if self._result.get("state_hash") != state_digest(kernel):
-            raise ReplayMismatch(f"{self.path}: the final state differs from the recorded one")
+        result = self._recording.result() if self._whole else None
+        if result is not None and result.get("state_hash") != state_digest(kernel):
+            raise ReplayMismatch(
+                f"{self.path}: the final state differs from the recorded one{self._made_with}"
+            )
 
 
 def _say(commands: list[tuple[str, Command]]) -> str:

@@ -71,10 +71,14 @@ class Recording:
     metadata: dict[str, Any]
     mission_toml: str
     antenna_toml: str
+    software: dict[str, str] = field(default_factory=dict)
+    """Versions it was made with: fieldkit, python, machine, numpy, scipy, numba."""
     seconds_missing: float = 0.0
     """Time between the neighbours of lost events; what a cut took off the end is not in it (under 1 s)."""
     counts: Counter[str] = field(default_factory=Counter)
     """Messages per topic; filled for a damaged file or by `summary`."""
+    ended: dict[str, Any] | None = None
+    """The result, once some pass has come across it."""
     parts: list[Path] = field(default_factory=list)
     """The files of a recording that was rotated, in order; of any other the one file."""
 
@@ -109,7 +113,7 @@ class Recording:
         last: int | None = None
         for item in self.items("command", "belief", "result"):
             if item.kind == "result":
-                last = item.inbox_number
+                last, self.ended = item.inbox_number, item.value
                 continue
             step = led.setdefault(item.inbox_number, Step(item.inbox_number, 0, Tick(0)))
             if item.kind == "command":
@@ -166,6 +170,8 @@ class Recording:
 
     def result(self) -> dict[str, Any] | None:
         """How the mission ended; None where it was cut before its end."""
+        if self.ended is not None:
+            return self.ended
         if self.complete:
             data = _by_index(self.parts[-1], RESULT.name)
             return None if data is None else self._decode(RESULT, data, 0)[0]
@@ -201,6 +207,7 @@ class Recording:
             "duration_s": 0.0 if first is None or last is None else (last - first) * 1e-9,
             "counts": dict(sorted(self.counts.items())),
             "fieldkit": self.fieldkit_version,
+            "software": self.software,
             "metadata": self.metadata,
         }
 
@@ -242,6 +249,7 @@ def open_recording(path: Path | str) -> Recording:
         metadata=header.get("metadata", {}),
         mission_toml=header.get("mission_toml", ""),
         antenna_toml=header.get("antenna_toml", ""),
+        software=header.get("software", {}),
         parts=parts,
     )
     if not whole:

@@ -35,6 +35,7 @@ from fieldkit.recording.schema import (
     Level,
     Note,
     schema_text,
+    software,
 )
 
 logger = logging.getLogger(__name__)
@@ -106,6 +107,7 @@ class RecordingWriter:
         self._header = {
             "schema": SCHEMA,
             "fieldkit": __version__,
+            "software": software(),
             "metadata": dict(metadata or {}),
             "mission_toml": mission_toml,
             "antenna_toml": antenna_toml,

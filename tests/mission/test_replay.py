@@ -7,6 +7,7 @@ import pytest
 from fieldkit.antenna.file import read_antenna
 from fieldkit.errors import RecordingError, ReplayMismatch
 from fieldkit.recording.reader import open_recording
+from fieldkit.recording.rewrite import rewrite
 from mission.replay import recorded_mission, replay, what_if
 from mission.synthetic import record_simulated
 
@@ -60,3 +61,14 @@ def test_what_is_no_recording_says_so(tmp_path: Path) -> None:
     path.write_text("not a recording")
     with pytest.raises(RecordingError, match=r"notes\.mcap"):
         replay(path)
+
+
+def test_a_difference_says_what_the_recording_was_made_with(log: Path, tmp_path: Path) -> None:
+    made = tmp_path / "made.mcap"
+    rewrite(
+        log, made, edit_header=lambda header: header | {"software": header["software"] | {"numpy": "0.1"}}
+    )
+    assert replay(made).complete
+    mission = what_if(recorded_mission(open_recording(made)), planner="patrol")
+    with pytest.raises(ReplayMismatch, match=r"recorded with numpy 0\.1 \(here"):
+        replay(made, mission=mission)
