@@ -103,3 +103,52 @@ def _pad(path: Path, size: int) -> None:
                 t_ns = START_NS + number * 10_000_000
                 writer.event(number, t_ns, Tick(t_ns))
                 writer.raw(t_ns, "camera", rng.bytes(20_000))
+
+
+def replay_long() -> dict[str, Any]:
+    """Replay of two hours of 4 simulated robots: times real time, by the wall and by the CPU, and where it goes.
+
+    Some of it is replayed beforehand, so that compiling counts for nothing.
+    """
+    import cProfile
+    import pstats
+
+    from mission.replay import replay
+    from mission.synthetic import record_simulated
+
+    with tempfile.TemporaryDirectory() as folder:
+        log = record_simulated(Path(folder), seed=3, duration_s=7200.0, sources_found=99)
+        replay(log, until_s=300.0)
+        began = cpu_s()
+        done = replay(log)
+        took_s = cpu_s() - began
+        began = cpu_s()
+        sum(1 for _ in open_recording(log).steps())
+        reading_s = cpu_s() - began
+        profile = cProfile.Profile()
+        profile.runcall(replay, log, until_s=1800.0)
+        spent = _cumulated(pstats.Stats(profile))
+        return {
+            "times_real_time": done.duration_s / done.wall_s,
+            "times_real_time_by_cpu": done.duration_s / took_s,
+            "events": done.events,
+            "detections": done.kernel.detections,
+            "size_mb": log.stat().st_size / 1e6,
+            "reading_alone_s": reading_s,
+            "cpu_s": took_s,
+            "share_of_kernel": spent["step"] / spent["replay"],
+            "share_of_safety": (spent["observe"] + spent["judge"]) / spent["replay"],
+        }
+
+
+def _cumulated(stats: Any) -> dict[str, float]:
+    """Seconds in replay as a whole, the kernel's step, and safety, by name."""
+    wanted = {"replay": "replay.py", "step": "kernel.py", "observe": "safety.py", "judge": "safety.py"}
+    return {
+        name: sum(
+            row[3]
+            for (file, _, function), row in stats.stats.items()
+            if function == name and file.endswith(f"mission/{ending}")
+        )
+        for name, ending in wanted.items()
+    }
