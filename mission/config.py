@@ -105,6 +105,13 @@ class EndTable(_Table):
     probability_left: float | None = Field(default=None, gt=0, lt=1)
 
 
+class RecordingTable(_Table):
+    """How the mission is written down."""
+
+    rotate_mb: float | None = Field(default=None, gt=0)
+    """A file that has grown so large is finished, and the recording goes on in the next; None: one file."""
+
+
 class SafetyTable(_Table):
     """Limits no command passes."""
 
@@ -175,6 +182,7 @@ class MissionFile(_Table):
     engine: EngineTable = EngineTable()
     association: AssociationTable = AssociationTable()
     end: EndTable = EndTable()
+    recording: RecordingTable = RecordingTable()
     safety: SafetyTable = SafetyTable()
     team: tuple[TeamTable, ...] = Field(min_length=1)
     robot: tuple[RobotTable, ...] = Field(min_length=1)

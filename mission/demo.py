@@ -158,6 +158,7 @@ def fly(
             for s in truth
         ]
     frame = FieldFrame(mission.frame.origin_lat_deg, mission.frame.origin_lon_deg, mission.frame.origin_alt_m)
+    rotate_mb = mission.file.recording.rotate_mb
     with RecordingWriter(
         recording,
         mission_toml=mission.text,
@@ -165,6 +166,7 @@ def fly(
         metadata=metadata,
         frame=frame,
         start_ns=rig.clock.now_ns() if past is None else 0,
+        rotate_bytes=None if rotate_mb is None else round(rotate_mb * 1e6),
     ) as recorder:
         followers = () if page is None else (page.follower,)
         runner = Runner(mission, rig, recorder, on_progress, followers, override)

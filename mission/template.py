@@ -94,6 +94,9 @@ max_duration_s = {max_duration_s:.1f}
 {found}            # where the number is known
 {left}      # or: the probability that one is still unfound
 
+# [recording]
+# rotate_mb = 500            # go on in a new file (mission.2.mcap, ...) when one has grown so large
+
 [safety]                     # no command passes these
 fence_margin_m = {fence_margin_m}         # way-points stay this far inside the field
 max_speed_m_s = 0.4

@@ -50,13 +50,18 @@ def list_logs(
     Example: fieldkit log list runs
     """
     from fieldkit.errors import DataError, RecordingError
-    from fieldkit.recording.reader import open_recording
+    from fieldkit.recording.reader import is_later_part, open_recording
 
     given = paths or [Path("runs")]
     for path in given:
         if not path.exists():
             raise DataError(f"{path}: no such file or folder")
-    files = [f for path in given for f in (sorted(path.rglob("*.mcap")) if path.is_dir() else [path])]
+    files = [
+        file
+        for path in given
+        for file in (sorted(path.rglob("*.mcap")) if path.is_dir() else [path])
+        if path == file or not is_later_part(file)
+    ]
     rows: list[dict[str, Any]] = []
     refused: list[str] = []
     for file in files:

@@ -259,6 +259,20 @@ def open_recording(path: Path | str) -> Recording:
     return recording
 
 
+def parts_of(path: Path) -> tuple[list[Path], list[str]]:
+    """The files of the recording that begins in `path`, and what is wrong with those that should be there."""
+    try:
+        return _parts(path, _header(path))
+    except RecordingError:  # whoever reads it will say why
+        return [path], []
+
+
+def is_later_part(path: Path) -> bool:
+    """Whether this is a mission.2.mcap beside its mission.mcap."""
+    stem, dot, number = path.stem.rpartition(".")
+    return bool(dot) and number.isdecimal() and path.with_name(stem + path.suffix).exists()
+
+
 def _parts(path: Path, header: dict[str, Any]) -> tuple[list[Path], list[str]]:
     """The file and those the same recording went on in; what is wrong with those that should be there."""
     parts, number = [path], int(header.get("part", 1))

@@ -17,6 +17,7 @@ from typing import Any
 from fieldkit.errors import ConfigError, DataError, FieldkitError
 from fieldkit.extras import need
 from fieldkit.files import write_whole
+from fieldkit.recording.reader import is_later_part
 
 VIEWS = ("missions", "sources", "readings", "detections")
 SUMMARY = """
@@ -48,16 +49,10 @@ def jobs_of(folder: Path, results: Path, *, replay: bool, keys: tuple[str, ...] 
     """A job for every recording under `folder`. Raises `DataError` where there is none."""
     if not folder.is_dir():
         raise DataError(f"{folder}: no such folder")
-    logs = [log for log in sorted(folder.rglob("*.mcap")) if not _is_later_part(log)]
+    logs = [log for log in sorted(folder.rglob("*.mcap")) if not is_later_part(log)]
     if not logs:
         raise DataError(f"{folder}: no recordings (*.mcap) in it")
     return [Job(str(log), str(results), _key(log, folder, replay, keys), replay, keys) for log in logs]
-
-
-def _is_later_part(log: Path) -> bool:
-    """Whether this is mission.2.mcap beside a mission.mcap."""
-    stem, dot, number = log.stem.rpartition(".")
-    return bool(dot) and number.isdecimal() and log.with_name(stem + log.suffix).exists()
 
 
 def _key(log: Path, folder: Path, replay: bool, keys: tuple[str, ...]) -> str:

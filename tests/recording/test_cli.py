@@ -5,7 +5,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from fieldkit.errors import RecordingError
+from fieldkit.errors import DataError, RecordingError
 from fieldkit.recording import reader
 from fieldkit.recording.cli import app
 
@@ -38,3 +38,31 @@ def test_recover_writes_a_file_that_info_calls_complete(tmp_path, recorded):
 def test_a_bad_file_is_an_error_of_ours(tmp_path):
     result = runner.invoke(app, ["info", str(tmp_path / "none.mcap")])
     assert isinstance(result.exception, RecordingError)
+
+
+def test_list_names_recordings_once_and_says_what_is_none(recorded, tmp_path):
+    (tmp_path / "deep").mkdir()
+    other = tmp_path / "deep" / "other.mcap"
+    other.write_bytes(recorded.read_bytes())
+    other.with_name("other.2.mcap").write_bytes(b"")
+    done = runner.invoke(app, ["list", str(tmp_path), "--json"])
+    said = json.loads(done.stdout)
+    assert done.exit_code == 0 and [row["recording"] for row in said["recordings"]] == [
+        str(other),
+        str(recorded),
+    ]
+    (tmp_path / "bad.mcap").write_text("no")
+    done = runner.invoke(app, ["list", str(tmp_path)])
+    assert done.exit_code == 2 and "bad.mcap: is not an MCAP" in done.stderr
+
+
+def test_merge_and_redact_say_what_they_did(recorded, tmp_path):
+    done = runner.invoke(app, ["redact", str(recorded), "-o", str(tmp_path / "out.mcap"), "--json"])
+    assert done.exit_code == 0 and json.loads(done.stdout)["addresses"] > 0
+    done = runner.invoke(app, ["merge", str(recorded), str(recorded), "-o", str(tmp_path / "all.mcap")])
+    assert isinstance(done.exception, DataError) and not (tmp_path / "all.mcap").exists()
+
+
+def test_the_layout_is_written(tmp_path):
+    assert runner.invoke(app, ["layout", "-o", str(tmp_path / "l.json")]).exit_code == 0
+    assert "configById" in json.loads((tmp_path / "l.json").read_text())

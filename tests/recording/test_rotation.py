@@ -72,6 +72,22 @@ def test_a_part_that_cannot_be_read_is_named(tmp_path, left):
     assert not recording.complete and "m.2.mcap cannot be read" in recording.missing
 
 
+def test_a_recording_in_parts_becomes_one_file_again(tmp_path):
+    path, out = rotated(tmp_path / "m.mcap"), tmp_path / "out.mcap"
+    assert recover(path, out) == []
+    recording = open_recording(out)
+    assert recording.complete and recording.parts == [out]
+    assert all(map(same, (event for _, _, event in recording.events()), mission(30)))
+    assert len(list(recording.events())) == len(mission(30)) and recording.result() == {"end_reason": "done"}
+
+
+def test_recovering_names_the_part_that_is_damaged(tmp_path):
+    path = rotated(tmp_path / "m.mcap")
+    second = open_recording(path).parts[1]
+    second.write_bytes(second.read_bytes()[:7000])
+    assert "m.2.mcap: cut" in recover(path, tmp_path / "out.mcap")[0]
+
+
 def test_each_part_can_be_recovered(tmp_path):
     later = open_recording(rotated(tmp_path / "m.mcap")).parts[1]
     recover(later, tmp_path / "out.mcap")
