@@ -37,6 +37,7 @@ from fieldkit.messages import (
     Operator,
     Pose,
     ReceiverState,
+    RssReading,
     Tick,
     VehicleState,
 )
@@ -54,6 +55,7 @@ from mission.safety import Safety
 logger = logging.getLogger(__name__)
 
 TICK_S = 0.5
+DUE_SLACK_S = 0.002
 READY_TIMEOUT_S = 60.0
 
 
@@ -94,6 +96,7 @@ class Runner:
         self._number = 0
         self._stepped = 0
         self._tick_waits = False
+        self._tick_is_due = False
         self.journal = Journal(
             self.kernel, self.mission.kernel.engine.grid.cell_m, self.recorder, *self.followers
         )
@@ -165,6 +168,22 @@ class Runner:
         # At once: what waits here while the kernel is busy must survive a kill as well.
         self.journal.event(self._number, t_ns, event)
         self._inbox.put_nowait((self._number, t_ns, event))
+        if isinstance(event, RssReading):
+            self._tick_when_due()
+
+    def _tick_when_due(self) -> None:
+        """Where receptions are joined quickly, look as soon as this one can be: not at the next regular tick."""
+        settings = self.mission.kernel
+        due_s = settings.association_window_s + settings.association_lateness_s + DUE_SLACK_S
+        if due_s < TICK_S and not self._tick_is_due:
+            self._tick_is_due = True
+            asyncio.get_running_loop().call_later(due_s / self.rig.clock.rate, self._tick_now)
+
+    def _tick_now(self) -> None:
+        self._tick_is_due = False
+        if self.kernel.started_ns is not None and not self._tick_waits:
+            self._tick_waits = True
+            self.put(Tick(self.rig.clock.now_ns()))
 
     def _meant(self, event: Operator) -> list[str]:
         return [robot for robot in self.helm.link_of if event.robot in (None, robot)]

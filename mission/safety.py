@@ -188,6 +188,8 @@ class Safety:
     def _watch(self, now_ns: int) -> list[Command]:
         """Hold robots that move though they must not; send home and call for what holding does not mend."""
         self._late = self._lateness(now_ns)
+        for robot in self.robots.values():
+            robot.now_ns = now_ns
         if self._late:  # what lasted while nobody looked is not held against a robot
             for robot in self.robots.values():
                 robot.progress_ns = now_ns
@@ -292,9 +294,9 @@ class Safety:
         limit_m = min(self.settings.near_m, math.dist(one.start_m, two.start_m) - 0.01)
         if nearest_m(one, two) >= limit_m:
             return None
-        if two.length_m and nearest_m(one, standing(two.start_m)) >= limit_m:
+        if second.moving and (not first.moving or nearest_m(one, standing(two.start_m)) >= limit_m):
             return second
-        return first if one.length_m else second
+        return first if first.moving else second
 
     def _soon(self, robot: Watched) -> Way | None:
         """Its way for the next moments."""
@@ -302,7 +304,7 @@ class Safety:
         if robot.name in self.homing.under_way and robot.place_m is not None:
             way = replace(home_way(robot), speed_m_s=self.settings.max_speed_m_s)
         if way is None or way.length_m == 0:
-            return way
+            return robot.drift(SOON_S)
         return replace(way, end_m=way.at(SOON_S))
 
     # -- way-points ------------------------------------------------------------------------------------------

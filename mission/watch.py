@@ -18,6 +18,11 @@ LONG_AGO_NS = -(2**62)
 JUMP_SLACK_M = 0.5
 SETTLE_S = 3.0
 """After an implausible position, this long without another one before they are believed again."""
+FADING_S = 15.0
+"""A vehicle's own failsafe has stopped it by then, whatever it has heard."""
+SMOOTH_S = 1.0
+SLOW_M_S = 0.15
+"""Slower than this is noise in the positions."""
 AHEAD_S = 1.0
 """A position from further in the future than this comes from a clock that is wrong."""
 
@@ -92,6 +97,13 @@ class Watched:
     progress_m: Place = (0.0, 0.0)
     progress_ns: int = LONG_AGO_NS
     """Where and when it was last seen to get on."""
+    fading: Way | None = None
+    """The way it was on when it was told to stop."""
+    stopped_ns: int = LONG_AGO_NS
+    now_ns: int = 0
+    """The last tick."""
+    velocity_m_s: Place = (0.0, 0.0)
+    """East and north, smoothed over about a second."""
     ours: bool = False
     """We have sent it somewhere."""
 
@@ -115,15 +127,32 @@ class Watched:
 
     @property
     def somebody_elses(self) -> bool:
-        """Somebody else steers it: it is not ours to stop."""
-        return self.vehicle is not None and self.vehicle.mode == "other"
+        """Somebody else steers it: it is not ours to stop. Of one that is not heard nobody knows."""
+        return self.vehicle is not None and self.vehicle.link_up and self.vehicle.mode == "other"
 
     def way(self) -> Way | None:
-        """What is left of its way; None where its place is not known."""
+        """What is left of its way; None where its place is not known.
+
+        One that was told to stop is taken to drive on until it says that it holds, or for `FADING_S`.
+        """
         here = self.place_m
         if here is None:
             return None
-        return standing(here) if self.target is None else Way(here, self.target.end_m, self.target.speed_m_s)
+        drives = self.target
+        if drives is None and not self.holds and (self.now_ns - self.stopped_ns) * 1e-9 < FADING_S:
+            drives = self.fading
+        return standing(here) if drives is None else Way(here, drives.end_m, drives.speed_m_s)
+
+    def drift(self, ahead_s: float) -> Way | None:
+        """Where it will be soon, by how it has moved; for those that others steer, or nobody."""
+        here = self.place_m
+        if here is None:
+            return None
+        speed_m_s = math.hypot(*self.velocity_m_s)
+        if speed_m_s < SLOW_M_S:
+            return standing(here)
+        east, north = (p + ahead_s * v for p, v in zip(here, self.velocity_m_s, strict=True))
+        return Way(here, (east, north), speed_m_s)
 
     def see(self, pose: Pose, settings: SafetySettings) -> None:
         """Take in a position. One that is no number is dropped; one out of reach is kept but not trusted."""
@@ -136,6 +165,13 @@ class Watched:
             reach_m = JUMP_SLACK_M + 3.0 * settings.max_speed_m_s * passed_s + 6.0 * pose.sigma_m
             if apart_m > reach_m:
                 self.jumped_ns = pose.t_ns
+                self.velocity_m_s = (0.0, 0.0)
+            elif passed_s > 0:
+                share = passed_s / (passed_s + SMOOTH_S)
+                moved = (pose.east_m - self.pose.east_m, pose.north_m - self.pose.north_m)
+                self.velocity_m_s = tuple(  # type: ignore[assignment]
+                    v + share * (d / passed_s - v) for v, d in zip(self.velocity_m_s, moved, strict=True)
+                )
         self.pose = pose
         self.home_m = self.home_m or (pose.east_m, pose.north_m)
         self._get_on(pose, settings)
@@ -165,6 +201,8 @@ class Watched:
 
     def stop(self) -> None:
         """It has been told to hold."""
+        if self.target is not None:
+            self.fading, self.stopped_ns = self.target, self.now_ns
         self.target = None
 
 

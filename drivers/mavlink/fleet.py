@@ -14,7 +14,7 @@ from drivers.handover import Handover
 from drivers.mavlink import inspect, parameters, timesync
 from drivers.mavlink.codec import AUTOPILOT, GROUND_STATION, Message, Packer, Parser, mavlink
 from drivers.mavlink.commands import Commander
-from drivers.mavlink.modes import PX4
+from drivers.mavlink.modes import PX4, set_mode
 from drivers.mavlink.orders import Orders
 from drivers.mavlink.plans import FENCE, KINDS, Inbox, PlanItem, PlanTalk, polygon_fence
 from drivers.mavlink.signing import Signer, read_key
@@ -189,6 +189,7 @@ class MavlinkLink:
                     self._put(steered.vehicle.passed(now_s, now_ns))
                 self._ask_rates(steered, now_s)
                 self._watch_target(steered, now_s)
+                self._hold_on(steered)
 
     def _ask_rates(self, steered: Steered, now_s: float) -> None:
         """Ask for positions where none come: after first contact, and after a reboot."""
@@ -201,6 +202,12 @@ class MavlinkLink:
     def _ask_all_rates(self, vehicle: Vehicle) -> None:
         for number, rate_hz in RATES_HZ.items():
             self._send(vehicle, interval(vehicle, number, rate_hz, 0))
+
+    def _hold_on(self, steered: Steered) -> None:
+        """A hold that was lost on the way is sent again, also long after whoever asked for it has given up."""
+        vehicle = steered.vehicle
+        if vehicle.firmware is not None and not steered.lock.locked() and steered.drives_on():
+            self._send(vehicle, set_mode(vehicle.system_id, vehicle.firmware, "hold", 0))
 
     def _watch_target(self, steered: Steered, now_s: float) -> None:
         """Send a way-point again if the vehicle says it is going elsewhere."""

@@ -75,7 +75,7 @@ class Orders:
                         f"set the rate of message {number}",
                         lambda n, number=number, rate_hz=rate_hz: interval(vehicle, number, rate_hz, n),  # type: ignore[misc]
                     )
-            vehicle.owner, vehicle.commanded = "us", None
+            vehicle.owner, vehicle.commanded, steered.must_hold = "us", None, False
             try:
                 await self._mode(steered, "guided")
                 if arm:
@@ -104,6 +104,7 @@ class Orders:
         vehicle = steered.vehicle
         lat, lon = degrees_e7(vehicle.robot, waypoint, self._frame)
         steered.orders += 1
+        steered.must_hold = False
         mine = steered.orders
         async with steered.lock:
             must_be_ours(vehicle)
@@ -144,6 +145,7 @@ class Orders:
     async def hold(self, steered: Steered) -> None:
         """Asked again and again until the heartbeat shows it; needs no ownership."""
         steered.stop()
+        steered.must_hold = True
         await self._mode(steered, "hold")
 
     async def return_home(self, steered: Steered) -> None:

@@ -41,6 +41,8 @@ class Steered:
     resent: int = 0
     rates_asked_s: float = -math.inf
     waypoint: Waypoint | None = None
+    must_hold: bool = False
+    """It was told to hold, and nothing else since: told again while it still drives where we sent it."""
     inboxes: list[Inbox] = field(default_factory=list)
 
     def goes_elsewhere(self, now_s: float) -> bool:
@@ -54,10 +56,15 @@ class Steered:
         apart = max(abs(said[0] - self.target[0]), abs(said[1] - self.target[1]))
         return fresh and apart > TARGET_TOLERANCE and self.resent < RESENDS
 
+    def drives_on(self) -> bool:
+        """Whether it still follows our last way-point though it was told to hold: nobody else has it."""
+        return self.must_hold and self.vehicle.link_up and self.vehicle.actual_mode == "guided"
+
     def stop(self) -> None:
         """A hold or a return: what went before is off."""
         self.orders += 1
         self.target = None
+        self.must_hold = False
         self.speed_m_s = None
 
 

@@ -476,3 +476,26 @@ async def test_a_vehicle_that_is_not_there_is_named():
 
 def is_command(data: bytes, command: int) -> bool:
     return any(getattr(message, "command", None) == command for message in Parser().parse(data))
+
+
+async def test_a_hold_that_was_lost_is_sent_again_when_the_link_is_back():
+    """Nobody else has it: it still drives to our last way-point, though we have given up on it."""
+    async with team() as t:
+        await t.link.take_over("ada")
+        await t.link.goto("ada", here(north_m=60.0))
+        t.rovers[0].silenced = True
+        with pytest.raises(DeviceTimeout):
+            await t.link.hold("ada")
+        assert t.rovers[0].autopilot.mode == GUIDED
+        t.rovers[0].silenced = False
+        await until(lambda: t.rovers[0].autopilot.mode == HOLD)
+        assert t.mode() == "other", "stopped, but not resumed by itself"
+
+
+async def test_a_standing_hold_is_no_reason_to_stop_somebody_elses_robot():
+    async with team() as t:
+        await t.link.take_over("ada")
+        await t.link.hold("ada")
+        t.rovers[0].autopilot.operator_sets(MANUAL)
+        await t.sleep(5.0)
+        assert t.rovers[0].autopilot.mode == MANUAL
