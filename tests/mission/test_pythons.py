@@ -1,0 +1,32 @@
+"""One recording gives the same belief on every Python it is asked for: FIELDKIT_PYTHONS=/a/bin/python:/b/bin/python.
+
+Each must have fieldkit installed. Without the variable there is nothing to compare with, and the test is skipped.
+"""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from fieldkit.recording import open_recording
+from mission.synthetic import record_simulated
+
+PYTHONS = [path for path in os.environ.get("FIELDKIT_PYTHONS", "").split(os.pathsep) if path]
+CODE = """
+import sys
+from pathlib import Path
+from mission.replay import replay
+done = replay(Path(sys.argv[1]))
+print(done.kernel.digest(), done.compared)
+"""
+
+
+@pytest.mark.skipif(not PYTHONS, reason="FIELDKIT_PYTHONS names no other Python")
+@pytest.mark.parametrize("python", PYTHONS)
+def test_another_python_comes_to_the_same_belief(python: str, tmp_path: Path) -> None:
+    log = record_simulated(tmp_path, seed=3, duration_s=200.0, sources_found=99)
+    result = open_recording(log).result()
+    assert result is not None
+    done = subprocess.run([python, "-c", CODE, str(log)], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [result["belief_hash"], str(result["events"])]
