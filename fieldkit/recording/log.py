@@ -123,8 +123,11 @@ class Log:
         first_s, last_s = self.span_s
         low, high = first_s if from_s is None else from_s, last_s if to_s is None else to_s
         if not low < high or low > last_s or high < first_s:
+            asked = " ".join(
+                f"{word} {value:g} s" for word, value in (("from", from_s), ("to", to_s)) if value is not None
+            )
             raise DataError(
-                f"{self.path}: no time from {low:g} s to {high:g} s; the log goes from {first_s:.1f} to {last_s:.1f} s"
+                f"{self.path}: nothing {asked}: the log goes from {first_s:.1f} s to {last_s:.1f} s of the mission"
             )
         return rows[(rows["t_s"] >= low) & (rows["t_s"] <= high)]
 

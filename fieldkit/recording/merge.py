@@ -49,6 +49,9 @@ def merge(paths: list[Path], out: Path, *, given_s: dict[str, float] | None = No
     tracks = [path for path in paths if path.suffix != ".mcap"]
     if len(paths) < 2 or not recordings:
         raise DataError("merging needs a recording (.mcap) and something to merge with it")
+    for path in paths:
+        if sum(path.resolve() == other.resolve() for other in paths) > 1:
+            raise DataError(f"{path}: is given twice")
     first = recordings[0]
     for other in recordings[1:]:
         _check_same_field(first, other)

@@ -93,6 +93,38 @@ def test_positions_come_from_another_programs_log(tmp_path):
     assert [pose.north_m for pose in walked] == pytest.approx([0.0, 1.112], abs=0.01)
 
 
+def test_a_telemetry_log_gives_poses_too(tmp_path):
+    """A MAVLink .tlog: each packet behind its time in microseconds, as ground stations write it."""
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    first = record(tmp_path / "r1.mcap", "r1", 0.0)
+    sender = ardupilotmega.MAVLink(None, srcSystem=9, srcComponent=1)
+    flight = b""
+    for k in range(4):
+        north_deg = 48.0 + 1e-5 * k
+        packet = sender.global_position_int_encode(
+            1000 * k, round(north_deg * 1e7), round(11.0 * 1e7), 500_000, 2_000, 0, 0, 0, 9_000
+        ).pack(sender)
+        flight += (START_NS // 1000 + 1_000_000 * k).to_bytes(8, "big") + packet
+    (tmp_path / "r9.tlog").write_bytes(flight)
+    done = merge([first, tmp_path / "r9.tlog"], tmp_path / "all.mcap", given_s={"r9": 0.5})
+    assert done.robots == ("r1", "r9")
+    flown = [
+        e
+        for _, _, e in open_recording(tmp_path / "all.mcap").events()
+        if isinstance(e, Pose) and e.robot == "r9"
+    ]
+    assert [pose.north_m for pose in flown] == pytest.approx([0.0, 1.112, 2.224, 3.336], abs=0.02)
+    assert [pose.t_ns for pose in flown] == [START_NS + 500_000_000 + k * 1_000_000_000 for k in range(4)]
+    assert {(pose.heading_deg, pose.up_m) for pose in flown} == {(90.0, 2.0)}
+
+
+def test_a_recording_given_twice_is_refused(tmp_path):
+    path = record(tmp_path / "r1.mcap", "r1", 0.0)
+    with pytest.raises(DataError, match="is given twice"):
+        merge([path, path], tmp_path / "all.mcap")
+
+
 def test_merging_never_overwrites(tmp_path):
     paths = [record(tmp_path / f"r{k}.mcap", f"r{k}", 0.0) for k in (1, 2)]
     with pytest.raises(RecordingError, match="exists already"):
