@@ -11,6 +11,7 @@ import pytest
 
 import fieldkit
 from fieldkit.errors import ConfigError, DataError, RecordingError
+from fieldkit.extras import need
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import Pose, RssReading
 from fieldkit.recording import RecordingWriter, open_recording
@@ -155,3 +156,8 @@ def test_an_export_without_readings_says_what_there_is(tmp_path):
     with pytest.raises(RecordingError, match="holds no readings; it holds 1 on /in/pose"):
         export(fieldkit.open_log(path), tmp_path / "readings.csv", ("readings",))
     assert nothing_new(tmp_path)
+
+
+def test_a_package_that_is_not_installed_is_named_with_its_extra():
+    with pytest.raises(ConfigError, match=r"needs nosuchthing.*pip install 'spog-fieldkit\[post\]'"):
+        need("nosuchthing.inner", "post")
