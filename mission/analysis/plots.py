@@ -166,7 +166,7 @@ def searched_map(story: Story, covered: Coverage) -> Figure:
             np.linspace(0.0, east_m, covered.heard.shape[1]),
             np.linspace(0.0, north_m, covered.heard.shape[0]),
         )
-        axes.contour(*grid, covered.heard, levels=[SEARCHED], colors="#005a32", linewidths=1.2)
+        axes.contour(*grid, covered.heard, levels=[SEARCHED], colors="black", linewidths=1.4)
     figure.colorbar(shown, ax=axes, shrink=0.8, label="probability of having heard a source there")
     axes.set(xlabel="east, m", ylabel="north, m")
     return figure

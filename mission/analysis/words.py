@@ -47,7 +47,7 @@ def silent(story: Story, covered: Coverage) -> list[str]:
     share, whole_m2 = percent(covered.searched_share), field.size_east_m * field.size_north_m
     sentences = [
         f"{share} of the field ({covered.searched_m2:.0f} of {whole_m2:.0f} m²) was searched: a source there that "
-        f"sends every {every_s:.0f} s on average would have been heard with {SEARCHED:.0%} or more."
+        f"sends every {every_s:.0f} s on average would have been heard with {100.0 * SEARCHED:.0f} % or more."
     ]
     if covered.searched_share < 1.0:
         where, mean = covered.weakest()
