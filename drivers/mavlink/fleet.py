@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import math
 import zlib
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from drivers.mavlink.vehicle import Vehicle
 from drivers.options import checked
 from fieldkit.checks import Check
 from fieldkit.clock import Clock
-from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
+from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout, VehicleRefused
 from fieldkit.messages import Pose, VehicleState, Waypoint
 from fieldkit.ports import Surroundings
 
@@ -36,6 +37,7 @@ MAX_PEERS = 64
 """Addresses remembered per link; forged ones must not fill the memory."""
 HOUSEKEEPING_S = 0.5
 POSITION_STALE_S = 2.0
+RIVAL_S = 10.0
 SETTLE_S = 2.5
 """How long a vehicle has to say everything that was asked for once."""
 
@@ -88,6 +90,8 @@ class MavlinkLink:
         self._orders = Orders(self._commander, self._clock, self._frame, self.beat, address)
         self._transport = make_transport(address)
         self._is_open = False
+        self._rival_s = -math.inf
+        """When another ground station with our system id was last heard."""
 
     def _add(self, name: str, option: RobotOptions) -> None:
         if not 1 <= option.system_id <= 254 or option.system_id == self._own_id:
@@ -140,6 +144,8 @@ class MavlinkLink:
         now_s, now_ns = self._clock.elapsed_s(), self._clock.now_ns()
         for message in parser.parse(data):
             steered = self._steered.get(message.get_srcSystem())
+            if message.get_srcSystem() == self._own_id and message.get_type() == "HEARTBEAT":
+                self._rival_s = now_s  # routers and autopilots forward: ours would not come back to us
             if steered is None or message.get_srcComponent() != AUTOPILOT:
                 continue
             steered.vehicle.count(peer, message.get_seq())
@@ -221,6 +227,7 @@ class MavlinkLink:
 
     async def take_over(self, robot: str, *, arm: bool = True) -> None:
         """Set message rates, GUIDED, armed; each confirmed by the vehicle's own heartbeat."""
+        self._refuse_rival(robot)
         await self._orders.take_over(self._of(robot), arm=arm)
 
     def release(self, robot: str) -> None:
@@ -316,6 +323,8 @@ class MavlinkLink:
         values = await self.parameters(robot, inspect.NAMES[vehicle.firmware])
         await self._clock.sleep(SETTLE_S)
         checks = inspect.condition(vehicle, self._clock.elapsed_s())
+        if words := self._rival():
+            checks.append(Check(robot, "identity", "red", words, "end the other mission"))
         checks += inspect.failsafes(robot, vehicle.firmware, values, self._own_id)
         if fence_m:
             checks.append(await self._put_fence(robot, fence_m))
@@ -363,6 +372,18 @@ class MavlinkLink:
             steered.inboxes.remove(inbox)
 
     # Guards
+
+    def _rival(self) -> str:
+        """Words on another station that steers with our id; empty where there is none."""
+        if self._clock.elapsed_s() - self._rival_s > RIVAL_S:
+            return ""
+        return f"another ground station has our system id {self._own_id}: is a second mission running?"
+
+    def _refuse_rival(self, robot: str) -> None:
+        if words := self._rival():
+            raise VehicleRefused(
+                f"{robot}: {words} End it, or give this one an own_system_id of its own in the mission file"
+            )
 
     def _of(self, robot: str) -> Steered:
         for steered in self._steered.values():

@@ -499,3 +499,24 @@ async def test_a_standing_hold_is_no_reason_to_stop_somebody_elses_robot():
         t.rovers[0].autopilot.operator_sets(MANUAL)
         await t.sleep(5.0)
         assert t.rovers[0].autopilot.mode == MANUAL
+
+
+async def test_a_second_runner_on_the_same_link_is_refused():
+    async with team() as t:
+        second = open_link(f"udpin:127.0.0.1:{t.port}", {"ada": {"system_id": 1}}, around(t.clock))
+        with pytest.raises(DeviceError, match="another fieldkit"):
+            async with second:
+                pass
+
+
+async def test_a_second_runner_elsewhere_is_heard_and_refused():
+    """Autopilots forward heartbeats between their links: one with our own id is not ours."""
+    async with team() as t:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+            beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
+            sock.sendto(Packer(245, 190).pack(beat), ("127.0.0.1", t.port))
+        await t.sleep(1.0)
+        with pytest.raises(VehicleRefused, match="a second mission"):
+            await t.link.take_over("ada")
+        assert not t.rovers[0].autopilot.armed
+        assert any(check.level == "red" and check.name == "identity" for check in await t.link.inspect("ada"))
