@@ -7,6 +7,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from types import TracebackType
 from typing import Any, Self
 
@@ -32,6 +33,7 @@ class KeptReceiver(ABC):
         self.robot = robot
         self._name = name
         self._clock = around.clock
+        self._tap = None if around.tap is None else partial(around.tap, robot)
         self._listening = False
         self._closed = False
         self._overrun = 0

@@ -9,6 +9,7 @@ import math
 import os
 import socket
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -122,15 +123,31 @@ def arrival_ns(link: ByteLink, clock: Clock) -> int:
     return now_ns - round(late_s * clock.rate * 1e9) if math.isfinite(clock.rate) else now_ns
 
 
-def open_link(url: str, baud: int, device: str) -> ByteLink:
-    """Open a link. `device` names it in errors. Raises `DeviceError` with the remedy."""
+class TappedLink:
+    """A link whose incoming bytes are shown to somebody else too."""
+
+    def __init__(self, link: ByteLink, tap: Callable[[bytes], None]) -> None:
+        self._link, self._tap = link, tap
+        self.write, self.close, self.arrived_s = link.write, link.close, link.arrived_s
+
+    def read(self) -> bytes:
+        if data := self._link.read():
+            self.arrived_s = self._link.arrived_s
+            self._tap(data)
+        return data
+
+
+def open_link(url: str, baud: int, device: str, tap: Callable[[bytes], None] | None = None) -> ByteLink:
+    """Open a link. `device` names it in errors; `tap` is shown what comes in. Raises `DeviceError` with the remedy."""
     try:
         if url.startswith("socket://"):
             host, port = host_and_port(url.removeprefix("socket://"))
-            return TcpLink(host, port)
-        return SerialLink(url, baud)
+            link: ByteLink = TcpLink(host, port)
+        else:
+            link = SerialLink(url, baud)
     except (OSError, ValueError) as error:
         raise DeviceError(f"{device}: {_why(url, error)}") from error
+    return link if tap is None else TappedLink(link, tap)
 
 
 @dataclass(frozen=True, slots=True)

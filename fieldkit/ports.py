@@ -3,7 +3,7 @@
 A driver is opened with `async with` and closed even when cancelled. Closing twice is harmless.
 """
 
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Protocol, Self, runtime_checkable
@@ -20,6 +20,8 @@ class Surroundings:
 
     clock: Clock
     frame: FieldFrame
+    tap: Callable[[str, bytes], None] | None = None
+    """Told the name of a radio's link and what came over it, in whatever thread read it; None: nobody records it."""
 
 
 class _Opened(Protocol):

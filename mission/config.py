@@ -108,6 +108,8 @@ class EndTable(_Table):
 class RecordingTable(_Table):
     """How the mission is written down."""
 
+    raw: bool = False
+    """Whether the bytes that come from the radios are kept as they came, on `/raw/ROBOT`."""
     rotate_mb: float | None = Field(default=None, gt=0)
     """A file that has grown so large is finished, and the recording goes on in the next; None: one file."""
 

@@ -175,6 +175,8 @@ def fly(
             runner.relive(past.steps())
 
         async def run() -> None:
+            if rig.tap is not None:
+                rig.tap.listen(lambda robot, data: recorder.raw(rig.clock.now_ns(), robot, data))
             if page is not None:
                 page.attach(runner)
             with keyboard(runner):

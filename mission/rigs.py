@@ -4,9 +4,10 @@ The emulated rig starts a field of devices on this machine (`fieldkit.emulators`
 same drivers, through the same wires, as the live one.
 """
 
+import asyncio
 import socket
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,23 @@ from fieldkit.clock import Clock, RealClock, ScaledClock
 from fieldkit.ports import PositionSource, Receiver, Surroundings, VehicleLink
 from fieldkit.world.sources import TransientSource
 from mission.config import Mission, RobotTable
+
+
+class RawTap:
+    """Hands over a radio's bytes to whoever records them, in its event loop; while nobody does they are dropped."""
+
+    def __init__(self) -> None:
+        self._listener: tuple[asyncio.AbstractEventLoop, Callable[[str, bytes], None]] | None = None
+
+    def listen(self, record: Callable[[str, bytes], None]) -> None:
+        """From now on `record` gets (robot, bytes), in the loop that runs now."""
+        self._listener = asyncio.get_running_loop(), record
+
+    def __call__(self, robot: str, data: bytes) -> None:
+        if self._listener is not None:
+            loop, record = self._listener
+            with suppress(RuntimeError):  # the mission is over, its loop closed
+                loop.call_soon_threadsafe(record, robot, data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +48,8 @@ class Rig:
     """Other sources of positions; the robots they know are not taken from telemetry."""
     emulator: Any = None
     """The emulated field, for injecting faults; None on a live rig."""
+    tap: RawTap | None = None
+    """Where the radios' raw bytes come out, if the mission file wants them recorded."""
 
 
 def live(mission: Mission, clock: Clock | None = None) -> Rig:
@@ -38,7 +58,8 @@ def live(mission: Mission, clock: Clock | None = None) -> Rig:
 
 
 def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emulator: Any = None) -> Rig:
-    around = Surroundings(clock, mission.frame)
+    tap = RawTap() if mission.file.recording.raw else None
+    around = Surroundings(clock, mission.frame, tap)
     receivers = []
     for robot in robots:
         make = plugins.load("fieldkit.receivers", robot.receiver.driver)
@@ -49,7 +70,7 @@ def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emula
         positions.append(
             plugins.load("fieldkit.positions", table.driver)(dict(table.model_extra or {}), around)
         )
-    return Rig(clock, tuple(receivers), links, tuple(positions), emulator)
+    return Rig(clock, tuple(receivers), links, tuple(positions), emulator, tap)
 
 
 def with_vehicles(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock) -> tuple[VehicleLink, ...]:

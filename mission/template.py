@@ -95,6 +95,7 @@ max_duration_s = {max_duration_s:.1f}
 {left}      # or: the probability that one is still unfound
 
 # [recording]
+# raw = true                 # keep every byte that came from the radios too
 # rotate_mb = 500            # go on in a new file (mission.2.mcap, ...) when one has grown so large
 
 [safety]                     # no command passes these

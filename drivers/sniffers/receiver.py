@@ -106,7 +106,7 @@ class SnifferReceiver(KeptReceiver):
         # Plugged in again, a dongle may get another name; only that very dongle is asked anything.
         if not first and self._usb is not None:
             self._port = port_of(self._usb) or self._options.port
-        link = open_link(self._port, self._options.baud, self._name)
+        link = open_link(self._port, self._options.baud, self._name, self._tap)
         self._protocol, self._time = self._make_protocol(), TimeBase()
         self._last_ns: tuple[int, int] | None = None
         self._turn, self._channel = 0, self._order[0]

@@ -161,7 +161,7 @@ class XBeeReceiver(KeptReceiver):
     def _connect(self, *, diagnose: bool) -> ListenOnly:
         port, baud = self._port, self._options.baud
         interface = FrameInterface(
-            lambda: open_link(port, baud, self._name), self._clock, self._on_frame, self._on_lost
+            lambda: open_link(port, baud, self._name, self._tap), self._clock, self._on_frame, self._on_lost
         )
         device = ListenOnly(interface)
         try:
