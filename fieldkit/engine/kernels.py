@@ -619,3 +619,45 @@ def spacing_entropy(
                 if hear0 and hear1:
                     both = entropy
     return total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def em_sweeps(likelihood: FloatArray, floor: FloatArray, total: float, sweeps: int, pi: FloatArray) -> None:
+    """EM for mixture weights, in place: pi <- (floor + sum over events of their shares) / total, `sweeps` times.
+
+    `likelihood` (k, n) of events over cells, `pi` and `floor` (n,); an event's share of cell i is L_i pi_i / sum L pi.
+    """
+    events, n = likelihood.shape
+    sums = np.empty(n)
+    for _ in range(sweeps):
+        for i in range(n):
+            sums[i] = floor[i]
+        for k in range(events):
+            row = likelihood[k]
+            norm = 0.0
+            for i in range(n):
+                norm += row[i] * pi[i]
+            scale = 1.0 / max(norm, 1e-300)
+            for i in range(n):
+                sums[i] += row[i] * pi[i] * scale
+        for i in range(n):
+            pi[i] = sums[i] / total
+
+
+@njit(cache=True, nogil=True)
+def em_absent(likelihood: FloatArray, pi: FloatArray, settled: FloatArray, out: FloatArray) -> None:
+    """out (n,): `settled` plus the sum over events of log(1 - share): SPOG's log(1 - P(C_i)) under the weights `pi`."""
+    events, n = likelihood.shape
+    out[:] = settled
+    for k in range(events):
+        row = likelihood[k]
+        norm = 0.0
+        for i in range(n):
+            norm += row[i] * pi[i]
+        scale = 1.0 / max(norm, 1e-300)
+        for i in range(n):
+            share = row[i] * pi[i] * scale
+            if share < 1e-4:  # the series is right to 1e-13 there
+                out[i] -= share + 0.5 * share * share
+            else:
+                out[i] += math.log1p(-min(share, 1.0 - 1e-16))

@@ -21,6 +21,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import logsumexp
 
+from fieldkit.engine import kernels
 from fieldkit.engine.sensing.directional import DirectionalModel
 from fieldkit.engine.sensing.levels import LevelsModel
 from fieldkit.engine.sensing.pairwise import PairwiseModel
@@ -31,7 +32,7 @@ from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
 DIRICHLET_ALPHA = 5.0
 EM_SWEEPS = 5
 MAX_EVENTS = 2000
-"""`em` re-attributes at most this many events; older ones keep their last attribution."""
+"""`em` re-attributes at most this many events; when there are more, the older half keeps its last attribution."""
 RULES = ("literal", "uniform", "dirichlet", "em")
 EIGHT = np.ones((3, 3), dtype=int)
 """Cells that touch at a corner are one component."""
@@ -67,7 +68,9 @@ class SpogBelief:
         """(n,) log(1 - P(C_i))."""
         self._sum_p1 = np.zeros(n)
         self._events = 0
-        self._logs: list[FloatArray] = []
+        self._likelihoods = np.empty((0, n))
+        """`em`: (room, n) likelihoods of the events that are still re-attributed, each scaled to a maximum of 1."""
+        self._stored = 0
         self._settled = np.zeros(n)
         """`em`: sum of log(1 - r) of events no longer re-attributed."""
         self._settled_p1 = np.zeros(n)
@@ -99,22 +102,28 @@ class SpogBelief:
 
     def _reattribute(self, log_likelihood: FloatArray) -> None:
         """EM over all stored events: pi are the mixture weights, r_ki the share of event k that cell i sent."""
-        self._logs.append(np.exp(log_likelihood - log_likelihood.max()))
-        likelihood = np.array(self._logs)
+        n = self.grid.n_cells
+        if self._stored == len(self._likelihoods):
+            grown = np.empty((2 * self._stored + 16, n))
+            grown[: self._stored] = self._likelihoods[: self._stored]
+            self._likelihoods = grown
+        self._likelihoods[self._stored] = np.exp(log_likelihood - log_likelihood.max())
+        self._stored += 1
+        stored = self._likelihoods[: self._stored]
         pi = np.exp(self.log_prior)
-        n = pi.size
-        for _ in range(EM_SWEEPS):
-            share = likelihood * pi
-            share /= share.sum(axis=1, keepdims=True)
-            # One pseudo-event spread over the field keeps every cell alive.
-            pi = (1.0 / n + self._settled_p1 + share.sum(axis=0)) / (1.0 + self._events)
+        # One pseudo-event spread over the field keeps every cell alive.
+        kernels.em_sweeps(stored, 1.0 / n + self._settled_p1, 1.0 + self._events, EM_SWEEPS, pi)
         self.log_prior = np.log(pi)
-        log_absent = np.log1p(-np.minimum(share, 1.0 - 1e-16))
-        self.log_absent = self._settled + log_absent.sum(axis=0)
-        if len(self._logs) > MAX_EVENTS:
-            self._logs.pop(0)
-            self._settled += log_absent[0]
-            self._settled_p1 += share[0]
+        self.log_absent = np.empty(n)
+        kernels.em_absent(stored, pi, self._settled, self.log_absent)
+        if self._stored > MAX_EVENTS:  # the older half keeps its last attribution
+            half = self._stored // 2
+            share = stored[:half] * pi
+            share /= share.sum(axis=1, keepdims=True)
+            self._settled = self._settled + np.log1p(-np.minimum(share, 1.0 - 1e-16)).sum(axis=0)
+            self._settled_p1 = self._settled_p1 + share.sum(axis=0)
+            self._likelihoods[: self._stored - half] = self._likelihoods[half : self._stored].copy()
+            self._stored -= half
 
     def listen(self, listening: Listening) -> None:
         """Silence says nothing in this belief."""

@@ -1,0 +1,60 @@
+"""The papers' experiments in short: common random numbers, censoring said so, one search the same every time."""
+
+import numpy as np
+import pytest
+
+from mission.study import prwa, rwa
+from mission.study.experiment import Experiment, Job, key, plot, run, summarise, table_csv
+from mission.study.packets import _transmissions
+
+
+def quiet(share: float, text: str) -> None:
+    """Nobody watches."""
+
+
+def fake_trial(job: Job) -> dict[str, object]:
+    value = None if job.seed == 2 else 10.0 * job.x + job.seed
+    return {"value": value, "detections": job.seed}
+
+
+EXPERIMENT = Experiment("fake", "Fake", "x", "s", ("one", "other"), (1.0, 2.0), fake_trial, cap=100.0)
+
+
+def test_censored_trials_are_counted_and_take_part_with_the_limit() -> None:
+    summary = summarise([fake_trial(Job("fake", "one", 1.0, seed)) for seed in range(3)], 100.0)
+    assert (summary["trials"], summary["censored"]) == (3, 1)
+    assert summary["mean"] == pytest.approx(10.5)
+    assert summary["mean_with_censored"] == pytest.approx((10 + 11 + 100) / 3)
+    nothing = summarise([{"value": None}], 100.0)
+    assert nothing["mean"] is None and nothing["mean_with_censored"] == 100.0
+
+
+def test_a_result_says_every_trial_and_can_be_drawn(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    result = run(EXPERIMENT, 3, 0, quiet, workers=1)
+    assert result["scenarios"][key("other", 2.0)]["censored"] == 1
+    lines = table_csv(result).splitlines()
+    assert len(lines) == 1 + 2 * 2 * 3 and lines[0].startswith("method,x,seed,value")
+    plot(result, tmp_path / "fake.png")
+    assert (tmp_path / "fake.png").stat().st_size > 5000
+
+
+def test_every_method_meets_the_same_packets() -> None:
+    hidden = (prwa.random_sources(2, 25.0, 25.0, (0.0,), 0.05, np.random.default_rng(0)),) * 2
+    one, other = (_transmissions(tuple(sources), 7, 2000.0) for sources in hidden)
+    assert (one.t_s == other.t_s).all() and (one.source == other.source).all()
+    assert (np.diff(one.t_s) >= 0).all()
+    assert len(one.t_s) == pytest.approx(2 * 0.05 * 2000, rel=0.35)
+
+
+@pytest.mark.parametrize("method", prwa.METHODS)
+def test_a_search_is_repeatable_and_finds_one_source(method: str) -> None:
+    first, again = (prwa.trial(Job("prwa-fig5a", method, 1, 5)) for _ in range(2))
+    assert first["value"] == again["value"] and first["detections"] == again["detections"]
+    assert first["simulated_s"] <= prwa.CAP_S
+
+
+def test_one_robot_with_a_directional_antenna_finds_two_sources() -> None:
+    row = rwa.trial(Job("rwa-fig6c", "rwa", 2, 0))
+    assert row["value"] is not None and row["value"] < 10_000.0
+    with pytest.raises(ValueError, match="study"):
+        prwa.trial(Job("prwa-fig9", "prwa", 1, 0))
