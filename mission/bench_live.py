@@ -34,6 +34,8 @@ FIELD_M = 20.0
 RATES_HZ = (1.0, 10.0)
 """Packets a second, each heard by every robot."""
 WINDOW_S, LATENESS_S = 0.01, 0.01
+SETTLE_S = 15.0
+"""Left out: the first plans for all robots at once."""
 DURATION_S = 30.0
 HOLD_LIMIT_S = 30.0
 FAR_REACHING = Antenna(2.0, -40.0, 3.0, -95.0)
@@ -100,11 +102,12 @@ async def _measure(runner: Runner, shown: serve.LivePage) -> dict[str, Any]:
     while kernel.started_ns is None and not running.done():  # noqa: ASYNC110 the mission has no such event
         await asyncio.sleep(0.1)
     viewer = _Viewer(shown.page.address, shown.page.token)
-    before, began_s = len(late_ms), clock.elapsed_s()
+    await clock.sleep(SETTLE_S)
+    before, began_s, frames = len(late_ms), clock.elapsed_s(), viewer.frames
     await clock.sleep(DURATION_S)
     passed_s = clock.elapsed_s() - began_s
     measured, count = late_ms[before:], sum(heard[before:])
-    frames = viewer.frames
+    frames = viewer.frames - frames
     hold = await _hold_all(runner, viewer)
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)

@@ -6,6 +6,7 @@ generators, so feeding a recorded inbox gives the same belief and the same comma
 
 import hashlib
 import struct
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from fieldkit.messages import (
     EndMission,
     Event,
     GoTo,
+    Listening,
     Operator,
     Plan,
     Pose,
@@ -58,6 +60,11 @@ class KernelSettings:
     """What a metre costs; 0 where it is not known: then no path is too long."""
     idle_limit_s: float = 120.0
     """End when no robot could be steered for this long: somebody has to look."""
+
+
+MOST_AT_ONCE = 5
+"""Transmissions taken in at one tick: a step that takes seconds would leave nobody at the helm."""
+MOST_WAITING = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +128,9 @@ class Kernel:
         """Sources the operator has taken away, by identity."""
         self.detections = 0
         self._closed = engine.keep_out
+        self._backlog: deque[Detection] = deque()
+        self.left_out = 0
+        """Transmissions that were not thought about for lack of time."""
         self._now_ns = 0
         self._errands: dict[tuple[str, ...], _Errand] = {}
         self._next_plan_ns: int | None = None
@@ -234,7 +244,7 @@ class Kernel:
         if teams or held or self._steered_ns is None:
             self._steered_ns = now_ns  # a hold by the operator may last
         notes: list[str] = []
-        detections, stretches = self.associator.advance(now_ns)
+        detections, stretches = self._due(now_ns, notes)
         for stretch in stretches:
             self.belief.listen(stretch)
         for detection in detections:
@@ -256,6 +266,19 @@ class Kernel:
                 self._next_plan_ns = now_ns + round(self.settings.engine.planning_period_s * 1e9)
         commands += self._follow(now_ns)
         return Outcome(tuple(commands), tuple(detections), plan, tuple(notes))
+
+    def _due(self, now_ns: int, notes: list[str]) -> tuple[list[Detection], list[Listening]]:
+        """What has become certain, no more at once than leaves time to steer; beyond a backlog the oldest are left."""
+        certain, stretches = self.associator.advance(now_ns)
+        self._backlog.extend(certain)
+        if (too_many := len(self._backlog) - MOST_WAITING) > 0:
+            for _ in range(too_many):
+                self._backlog.popleft()
+            if not self.left_out:
+                notes.append("more is heard than can be thought about: the oldest transmissions are left out")
+            self.left_out += too_many
+        count = min(MOST_AT_ONCE, len(self._backlog))
+        return [self._backlog.popleft() for _ in range(count)], stretches
 
     def _note_finds(self, now_ns: int, notes: list[str]) -> bool:
         """Keep the times of finds; whether one was made or withdrawn."""

@@ -1,13 +1,14 @@
 """The kernel: pure, repeatable, and steering only what is its to steer."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fieldkit.messages import EndMission, GoTo, Operator, Pose, RssReading, Tick, VehicleState
 from fieldkit.world.sources import TransientSource
-from mission.kernel import Kernel, KernelSettings, state_digest
+from mission.kernel import MOST_AT_ONCE, MOST_WAITING, Kernel, KernelSettings, state_digest
 from mission.simulate import Truth, simulate
 from mission.synthetic import ANTENNA, LEVELS_DB, small_mission
 
@@ -105,3 +106,26 @@ def test_a_simulated_mission_finds_its_source(settings: KernelSettings) -> None:
     (found,) = [s for s in result.kernel.sources() if s.state == "found"]
     assert np.hypot(found.east_m - 6.3, found.north_m - 5.1) < 0.4
     assert set(LEVELS_DB) == set(settings.engine.power_levels_db)
+
+
+def test_a_flood_of_transmissions_is_taken_in_little_by_little_and_its_oldest_left_out(
+    tmp_path: Path,
+) -> None:
+    """Whatever is heard, a tick stays short: robots have to be steered meanwhile."""
+    kernel = Kernel(small_mission(tmp_path).kernel)
+    second = 1_000_000_000
+    flood = MOST_WAITING + 60
+    for t_s in (0, 1, 2):
+        for k, robot in enumerate(kernel.settings.engine.robots):
+            kernel.step(Pose(t_s * second, robot, 2.0 * k + 1.0, 2.0))
+    kernel.step(Tick(0))
+    for number in range(flood):
+        kernel.step(RssReading(second // 2 + number * second // flood, "r1", -60.0, frame_id=f"x{number}"))
+    taken = []
+    for k in range(80):
+        outcome = kernel.step(Tick(4 * second + k * second // 5))
+        taken.append(len(outcome.detections))
+        if k == 0:
+            assert any("left out" in note for note in outcome.notes)
+    assert max(taken) == MOST_AT_ONCE
+    assert sum(taken) == MOST_WAITING and kernel.left_out == flood - MOST_WAITING
