@@ -115,11 +115,14 @@ class View:
             case GoTo(_, _, waypoint):
                 self._commands[robot.name] = ("go to", f"{waypoint.east_m:.1f}, {waypoint.north_m:.1f} m")
             case Hold(_, _, reason):
+                if self._commands.get(robot.name) != ("hold", reason) and not reason.startswith("operator"):
+                    self._tell(f"{robot.name} holds: {reason}", log_time_ns)
                 self._commands[robot.name] = ("hold", reason)
                 self._paths.pop(robot.name, None)
             case CallOperator(_, _, reason):
                 self._calls[robot.name] = reason
             case _:
+                self._tell(f"{robot.name} sets out for home: {command.reason}", log_time_ns)
                 self._commands[robot.name] = ("return", command.reason)
                 self._paths.pop(robot.name, None)
 
@@ -171,6 +174,10 @@ class View:
         row = {"t_s": self._at_s(log_time_ns or self._now_ns), "level": str(level), "text": text}
         self.notes.append(row)
         self._news.append({"note": row})
+
+    def _tell(self, text: str, log_time_ns: int) -> None:
+        """A decision of safety's among the notes; the recording has it as a command."""
+        self.note("info", text, log_time_ns)
 
     def flush(self) -> None:
         """Nothing waits here."""
