@@ -104,29 +104,30 @@ def add_exposure(
     n_levels, rows, columns = exposure.shape
     m = robots.shape[0]
     last = hear.shape[1] - 1
-    north_low = robots[:, 1].min() - reach
-    north_high = robots[:, 1].max() + reach
-    row0 = max(0, int(math.floor(north_low / cell)))
-    row1 = min(rows, int(math.floor(north_high / cell)) + 1)
+    row0 = max(0, int(math.floor((robots[:, 1].min() - reach) / cell)))
+    row1 = min(rows, int(math.floor((robots[:, 1].max() + reach) / cell)) + 1)
+    column0 = max(0, int(math.floor((robots[:, 0].min() - reach) / cell)))
+    column1 = min(columns, int(math.floor((robots[:, 0].max() + reach) / cell)) + 1)
+    if column1 <= column0:
+        return
+    # Where each cell of a row stands in the table is the same for all levels: found once, then level by level.
+    at = np.empty((m, column1 - column0), dtype=np.int64)
+    silent = np.empty(column1 - column0)
     for r in range(row0, row1):
         north = (r + 0.5) * cell
-        for c in range(columns):
-            east = (c + 0.5) * cell
-            near = False
+        for q in range(m):
+            dn2 = (north - robots[q, 1]) ** 2
+            for c in range(column0, column1):
+                de = (c + 0.5) * cell - robots[q, 0]
+                at[q, c - column0] = min(int((de * de + dn2) / step2), last)
+        for h in range(n_levels):
+            table = hear[h]
+            silent[:] = 1.0
             for q in range(m):
-                if abs(east - robots[q, 0]) < reach and abs(north - robots[q, 1]) < reach:
-                    near = True
-            if not near:
-                continue
-            for h in range(n_levels):
-                silent = 1.0
-                for q in range(m):
-                    de = east - robots[q, 0]
-                    dn = north - robots[q, 1]
-                    k = int((de * de + dn * dn) / step2)
-                    if k < last:
-                        silent *= 1.0 - hear[h, k]
-                exposure[h, r, c] += duration * (1.0 - silent)
+                for c in range(column1 - column0):
+                    silent[c] *= 1.0 - table[at[q, c]]
+            for c in range(column1 - column0):
+                exposure[h, r, column0 + c] += duration * (1.0 - silent[c])
 
 
 @njit(cache=True, nogil=True)

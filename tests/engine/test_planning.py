@@ -16,7 +16,7 @@ from fieldkit.engine.belief.intensity import IntensityBelief
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.planning.base import Situation, abreast, track
-from fieldkit.engine.planning.infogain import InfoGainPlanner
+from fieldkit.engine.planning.infogain import InfoGainPlanner, blocks_summed
 from fieldkit.engine.planning.prwa import cluster_ridges
 from fieldkit.engine.planning.ridges import Ridge, farthest_pair, find_ridges
 from fieldkit.engine.planning.tour import EXACT_RIDGES, off_ridge_m, ridge_tour, time_on_ridges_s
@@ -159,8 +159,12 @@ def test_the_heuristic_tour_is_near_the_exact_one(monkeypatch: pytest.MonkeyPatc
     for _ in range(5):
         ends = rng.uniform(0, 20, (5, 2, 2))
         heuristic = off_ridge_m(np.zeros(2), ends, ridge_tour(np.zeros(2), ends))
-        exact = off_ridge_m(np.zeros(2), ends, tour._exact(np.zeros(2), ends))
+        exact = off_ridge_m(np.zeros(2), ends, tour._exact(np.zeros(2), ends, closed=False))
         assert exact - 1e-9 <= heuristic <= 1.05 * exact + 0.2
+    many = rng.uniform(0, 20, (25, 2, 2))
+    order = ridge_tour(np.zeros(2), many)
+    assert sorted(index for index, _ in order) == list(range(25))
+    assert order == ridge_tour(np.zeros(2), many), "planners that plan apart must agree"
 
 
 def test_time_on_ridges_matches_the_reference() -> None:
@@ -183,3 +187,12 @@ def test_clusters_are_as_many_as_asked_and_none_is_empty() -> None:
     clusters = cluster_ridges(ridges, 3, np.random.default_rng(0))
     assert sorted(len(c) for c in clusters) == [1, 2, 2]
     assert cluster_ridges([], 0, np.random.default_rng(0)) == []
+
+
+@pytest.mark.parametrize(("shape", "block"), [((6, 8), 2), ((7, 5), 3), ((4, 4), 1), ((3, 2), 9)])
+def test_ground_valued_in_squares_keeps_its_sum(shape: tuple[int, int], block: int) -> None:
+    value = np.random.default_rng(0).uniform(0, 1, shape)
+    squares = blocks_summed(value, block)
+    assert squares.shape == (-(-shape[0] // block), -(-shape[1] // block))
+    assert squares.sum() == pytest.approx(value.sum())
+    assert squares[0, 0] == pytest.approx(value[:block, :block].sum())

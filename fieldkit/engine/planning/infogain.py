@@ -33,6 +33,8 @@ SPACINGS = (0.6, 1.0)
 RESOLVE_VALUE = 2.0
 RECEPTION_VALUE = 0.4
 GROUND_VALUE = 1.0
+GROUND_BLOCK = 0.4
+"""Side of the squares in which ground is valued, at most, in the shortest typical range."""
 TARGET_CELLS = 0.45
 """Standard deviation, in cells, at which a place is certain to within one cell."""
 
@@ -54,6 +56,9 @@ class InfoGainPlanner:
         self.grid = settings.grid
         self._rng = np.random.default_rng([settings.seed, 0x1F0])
         self._last: dict[tuple[str, ...], list[tuple[float, float]]] = {}
+        shortest_m = float(settings.antenna.nominal_range_m(min(settings.power_levels_db)))
+        self._block = max(1, int(GROUND_BLOCK * shortest_m / settings.grid.cell_m))
+        """Ground is valued in squares of so many cells: finer than that, ranges blur it anyway."""
 
     def plan(self, situation: Situation, belief: Belief) -> Plan:
         """Paths for all teams of the situation. Raises `ConfigError` for a belief without exposure."""
@@ -61,9 +66,9 @@ class InfoGainPlanner:
             raise ConfigError("planner 'infogain' needs belief 'intensity'; choose 'prwa' for other beliefs")
         model = belief.model
         horizon_s = HORIZON_PERIODS * self.settings.planning_period_s
-        value = GROUND_VALUE * belief.ground_value()
-        planned_s = np.zeros(self.grid.shape)
-        scratch = np.empty(self.grid.shape)
+        value = blocks_summed(GROUND_VALUE * belief.ground_value(), self._block)
+        planned_s = np.zeros(value.shape)
+        scratch = np.empty(value.shape)
         unresolved = belief.unresolved(SAMPLES, self._rng)
         information = {u.ident: np.zeros(4) for u in unresolved}
         taken: list[FloatArray] = []
@@ -82,7 +87,7 @@ class InfoGainPlanner:
                     STEP_S,
                     value,
                     planned_s,
-                    self.grid.cell_m,
+                    self._block * self.grid.cell_m,
                     model.hear_known_mean,
                     model.step2_m2,
                     model.search_reach_m,
@@ -115,10 +120,10 @@ class InfoGainPlanner:
                     paths[robot], purpose[robot] = (), "wait"
                 taken.append(np.repeat(start[None], max(1, int(horizon_s / STEP_S)), axis=0))
                 continue
-            scratch = np.zeros(self.grid.shape)
+            scratch = np.zeros(value.shape)
             kernels.path_ground_gain(
-                best.track_m, STEP_S, value, planned_s, self.grid.cell_m, model.hear_known_mean, model.step2_m2,
-                model.search_reach_m, self.settings.reference_rate_hz, scratch,
+                best.track_m, STEP_S, value, planned_s, self._block * self.grid.cell_m, model.hear_known_mean,
+                model.step2_m2, model.search_reach_m, self.settings.reference_rate_hz, scratch,
             )  # fmt: skip
             planned_s += scratch
             for ident, gained in best_info.items():
@@ -197,8 +202,8 @@ class InfoGainPlanner:
             )
             options.append(_Option(purpose, places, route))
 
-        left = (value * np.exp(-self.settings.reference_rate_hz * planned_s)).ravel()
-        left = left / left.sum() if left.sum() > 0 else np.full(left.size, 1.0 / left.size)
+        left = value * np.exp(-self.settings.reference_rate_hz * planned_s)
+        left = left / left.sum() if left.sum() > 0 else np.full(left.shape, 1.0 / left.size)
         pick = self._picker(left**1.5)
         for index in range(GROUND_PATHS):
             corners: list[FloatArray] = []
@@ -227,12 +232,16 @@ class InfoGainPlanner:
         return options
 
     def _picker(self, weight: FloatArray) -> Callable[[], FloatArray]:
-        cumulative = np.cumsum(weight / weight.sum())
-        centres = self.grid.centres_m
+        """Draws the middle of a square of ground, by weight (n_north, n_east of the squares)."""
+        cumulative = np.cumsum(weight.ravel() / weight.sum())
+        side = self._block * self.grid.cell_m
+        columns = weight.shape[1]
+        limit = np.array([self.grid.size_east_m, self.grid.size_north_m])
 
         def pick() -> FloatArray:
-            index = min(int(np.searchsorted(cumulative, self._rng.random())), centres.shape[0] - 1)
-            return np.asarray(centres[index])
+            index = min(int(np.searchsorted(cumulative, self._rng.random())), cumulative.size - 1)
+            row, column = divmod(index, columns)
+            return np.minimum(np.array([(column + 0.5) * side, (row + 0.5) * side]), limit)
 
         return pick
 
@@ -251,3 +260,11 @@ class InfoGainPlanner:
             focus + radius * np.array([math.sin(bearing + k * turn), math.cos(bearing + k * turn)])
             for k in range(6)
         ]
+
+
+def blocks_summed(value: FloatArray, block: int) -> FloatArray:
+    """`value` (n_north, n_east) summed over squares of `block` x `block` cells; the last ones may be cut."""
+    if block == 1:
+        return value
+    rows, columns = np.arange(0, value.shape[0], block), np.arange(0, value.shape[1], block)
+    return np.asarray(np.add.reduceat(np.add.reduceat(value, rows, axis=0), columns, axis=1))

@@ -1,48 +1,71 @@
 """The shortest tour that walks every ridge once (RWA section V.B), and how long to stay on each (eq 28 and 29)."""
 
+from collections.abc import Iterator
 from itertools import permutations, product
 
-import fast_tsp
 import numpy as np
 
 from fieldkit.messages import FloatArray
 
 EXACT_RIDGES = 4
-_SCALE_LIMIT = 20_000
-"""fast_tsp takes distances up to 65,535; free edges cost this much more than the longest, so that ridges are walked."""
 
 
 def ridge_tour(start_m: FloatArray, ends_m: FloatArray, *, closed: bool = False) -> list[tuple[int, bool]]:
     """Order and direction of ridges (k, 2, 2) for a tour from `start_m`, and back if `closed`: (index, reversed).
 
-    Exact up to `EXACT_RIDGES`, else by fast_tsp with each ridge a mandatory edge.
+    Exact up to `EXACT_RIDGES`, else by local search. (A solver that searches for so many milliseconds finds another
+    tour on a busy machine: then a replay would differ, and robots that plan apart would not agree.)
     """
-    count = len(ends_m)
-    if count <= EXACT_RIDGES:
+    if len(ends_m) <= EXACT_RIDGES:
         return _exact(start_m, ends_m, closed)
-    # Nodes: start, both ends of each ridge, and a dummy that closes the tour for nothing.
+    return _improved(start_m, ends_m, closed)
+
+
+def _improved(start_m: FloatArray, ends_m: FloatArray, closed: bool) -> list[tuple[int, bool]]:
+    """Nearest ridge first, then stretches turned round and single ridges moved while that makes the tour shorter."""
     nodes = np.concatenate([start_m[None], ends_m.reshape(-1, 2)])
-    distance = np.hypot(*(nodes[:, None, :] - nodes[None, :, :]).transpose(2, 0, 1))
-    scaled = np.rint(distance / max(distance.max(), 1e-9) * _SCALE_LIMIT).astype(int) + _SCALE_LIMIT
-    for ridge in range(count):
-        scaled[1 + 2 * ridge, 2 + 2 * ridge] = scaled[2 + 2 * ridge, 1 + 2 * ridge] = 0
-    full = np.full((len(nodes) + 1, len(nodes) + 1), _SCALE_LIMIT, dtype=int)
-    full[:-1, :-1] = scaled
-    # An open tour may end anywhere; a closed one ends where it began: the dummy lies on the start.
-    if closed:
-        full[-1, :-1] = full[:-1, -1] = scaled[0]
-    full[-1, 0] = full[0, -1] = 0
-    np.fill_diagonal(full, 0)
-    route = fast_tsp.find_tour(full.tolist(), duration_seconds=0.02)
-    at = route.index(0)
-    route = route[at:] + route[:at]
-    if route[1] == len(nodes):  # the dummy must come last
-        route = [route[0], *reversed(route[1:])]
-    order: list[tuple[int, bool]] = []
-    for node in route[1:]:
-        if node != len(nodes) and (node - 1) // 2 not in [ridge for ridge, _ in order]:
-            order.append(((node - 1) // 2, (node - 1) % 2 == 1))
-    return order
+    distance = np.hypot(*(nodes[:, None, :] - nodes[None, :, :]).transpose(2, 0, 1)).tolist()
+
+    def length(tour: list[tuple[int, bool]]) -> float:
+        here, total = 0, 0.0
+        for ridge, flip in tour:
+            total += distance[here][1 + 2 * ridge + flip]
+            here = 2 + 2 * ridge - flip
+        return total + (distance[here][0] if closed else 0.0)
+
+    best: list[tuple[int, bool]] = []
+    here, left = 0, set(range(len(ends_m)))
+    while left:
+        ridge, flip = min(
+            ((r, f) for r in sorted(left) for f in (False, True)),
+            key=lambda rf: distance[here][1 + 2 * rf[0] + rf[1]],
+        )
+        best.append((ridge, flip))
+        left.remove(ridge)
+        here = 2 + 2 * ridge - flip
+    shortest = length(best)
+    better = True
+    while better:
+        better = False
+        for tour in _neighbours(best):
+            if (found := length(tour)) < shortest - 1e-9:
+                best, shortest, better = tour, found, True
+                break
+    return best
+
+
+def _neighbours(tour: list[tuple[int, bool]]) -> Iterator[list[tuple[int, bool]]]:
+    """Tours with one stretch walked the other way round, or one ridge elsewhere, in either direction."""
+    count = len(tour)
+    for i in range(count):
+        for j in range(i, count):
+            yield tour[:i] + [(r, not f) for r, f in reversed(tour[i : j + 1])] + tour[j + 1 :]
+    for i in range(count):
+        ridge, flip = tour[i]
+        rest = tour[:i] + tour[i + 1 :]
+        for j in range(count):
+            for turned in (flip, not flip):
+                yield [*rest[:j], (ridge, turned), *rest[j:]]
 
 
 def _exact(start_m: FloatArray, ends_m: FloatArray, closed: bool) -> list[tuple[int, bool]]:
