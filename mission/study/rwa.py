@@ -48,6 +48,7 @@ def engine(seed: int, period_s: float = PERIOD_S) -> EngineSettings:
         (0.0,),
         planning_period_s=period_s,
         max_speed_m_s=SPEED_M_S,
+        found_probability=0.8,  # p_t of section VII.C
         fence_margin_m=CELL_M / 2.0,
         min_separation_m=CELL_M,
         sensing="directional",
