@@ -1,4 +1,4 @@
-"""An ArduRover as its telemetry shows it: a state machine without a clock or a wire of its own.
+"""An autopilot as its telemetry shows it, an ArduRover by default: a state machine without a clock or a wire.
 
 Answers, refusals and silences are those measured on ArduRover 4.7 in simulation: targets ignored without a
 word outside GUIDED, DO_REPOSITION only as COMMAND_INT, HOLD that outlasts the failsafe which caused it.
@@ -10,14 +10,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from drivers.emulators.fence import edge_ahead_m
 from drivers.emulators.plans import PlanStore
+from drivers.emulators.profiles import ROVER, Profile, px4_mode
 from drivers.mavlink.codec import Message, Packer, Parser, mavlink
 from drivers.mavlink.signing import Signer
 from fieldkit.geo import FieldFrame
 from fieldkit.world.rover import Rover
 
-MANUAL, HOLD, LOITER, AUTO, RTL, SMART_RTL, GUIDED = 0, 4, 5, 10, 11, 12, 15
-MODES = {MANUAL, HOLD, LOITER, AUTO, RTL, SMART_RTL, GUIDED, 1, 3, 6, 7}
+MANUAL, HOLD, RTL, GUIDED = ROVER.manual, ROVER.hold, ROVER.home[0], ROVER.guided
+"""ArduRover's, which is what is emulated unless a profile says otherwise."""
+STALL_M = 3.0
+"""How far before its own fence an ArduRover stops (measured: 2 to 3.5 m at 5 m/s)."""
 STEP_S = 0.1
 """Longest step of the motion."""
 POSITION_ONLY = 0x0DF8
@@ -63,9 +67,10 @@ class RoverAutopilot:
     battery_pct: float = 100.0
     trouble: Trouble = field(default_factory=Trouble)
     signer: Signer | None = None
+    profile: Profile = ROVER
 
     def __post_init__(self) -> None:
-        self.mode = HOLD
+        self.mode = self.profile.hold
         self.armed = False
         self.home_m = (self.body.east_m, self.body.north_m)
         self._target: tuple[int, int] = (0, 0)
@@ -79,14 +84,11 @@ class RoverAutopilot:
         """When the ground station's last heartbeat came."""
         self._failsafe = False
         self.plans = PlanStore()
-        self.parameters = {
-            "FS_GCS_ENABLE": 1.0 if self.gcs_failsafe_s else 0.0,
-            "FS_GCS_TIMEOUT": 5.0,
-            "FS_ACTION": 2.0,
-            "FENCE_ENABLE": 0.0,
-            "BATT_FS_LOW_ACT": 2.0,
-            "MAV_GCS_SYSID": 245.0,
-        }
+        self._fence_e7: tuple[tuple[int, int], ...] = ()
+        self._fence: list[tuple[float, float]] = []
+        self.parameters = dict(self.profile.parameters)
+        if "FS_GCS_ENABLE" in self.parameters:
+            self.parameters["FS_GCS_ENABLE"] = 1.0 if self.gcs_failsafe_s else 0.0
         self._start_streams()
 
     def _start_streams(self) -> None:
@@ -117,7 +119,7 @@ class RoverAutopilot:
     def reboot(self, t_s: float) -> None:
         """Start afresh: disarmed, HOLD, default rates, a new boot clock."""
         self.boot_s, self.armed, self._heartbeat_s, self._failsafe = t_s, False, None, False
-        self._change_mode(HOLD)
+        self._change_mode(self.profile.hold)
         self._target, self._target_m = (0, 0), None
         self._start_streams()
 
@@ -131,7 +133,7 @@ class RoverAutopilot:
         if lost and self.armed:
             self.say("EKF variance")
             self.say("EKF failsafe")
-            self._change_mode(HOLD)
+            self._change_mode(self.profile.hold)
 
     def say(self, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING) -> None:
         """Send a STATUSTEXT, in chunks of 50 characters as MAVLink 2 does it."""
@@ -188,7 +190,9 @@ class RoverAutopilot:
     def _command_long(self, message: Message, t_s: float) -> int:
         command = message.command
         if command == mavlink.MAV_CMD_DO_SET_MODE:
-            return self._set_mode(int(message.param2)) if int(message.param1) & 1 else DENIED
+            return self._set_mode(self._asked_mode(message)) if int(message.param1) & 1 else DENIED
+        if command == mavlink.MAV_CMD_DO_PAUSE_CONTINUE and self.profile.pauses:
+            return ACCEPTED
         if command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             return self._arm(message.param1 == 1)
         if command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
@@ -201,7 +205,7 @@ class RoverAutopilot:
         if command == mavlink.MAV_CMD_DO_CHANGE_SPEED:
             return self._change_speed(message.param2)
         if command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-            return self._set_mode(RTL)
+            return self._set_mode(self.profile.home[0])
         return UNSUPPORTED  # DO_REPOSITION too: only as COMMAND_INT
 
     def _command_int(self, message: Message) -> int:
@@ -210,10 +214,12 @@ class RoverAutopilot:
         frames = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, mavlink.MAV_FRAME_GLOBAL_INT, 0, 3)
         if message.frame not in frames or (message.x, message.y) == (0, 0) or abs(message.x) > 900_000_000:
             return DENIED
-        if self.mode != GUIDED and not int(message.param2) & 1:
+        if self.mode != self.profile.guided and not int(message.param2) & 1:
             return DENIED
-        if self.mode != GUIDED:
-            self._change_mode(GUIDED)
+        if self.profile.refuses_outside_fence and self._beyond_fence(message.x, message.y):
+            return FAILED
+        if self.mode != self.profile.guided:
+            self._change_mode(self.profile.guided)
         if message.param1 > 0:
             self._speed_m_s = message.param1
         self._aim(message.x, message.y)
@@ -221,7 +227,9 @@ class RoverAutopilot:
 
     def _position_target(self, message: Message) -> None:
         """No acknowledgement, and no word outside GUIDED. Takes 0, 0 like any other place."""
-        if self.mode != GUIDED or message.coordinate_frame not in (5, 6, 11):
+        if self.mode != self.profile.guided or message.coordinate_frame not in (5, 6, 11):
+            return
+        if self.profile.needs_height and message.type_mask & 0x4:
             return
         if message.type_mask & ACCELERATION_IGNORED != ACCELERATION_IGNORED:
             self.say("Ignoring SET_POSITION_TARGET_GLOBAL_INT; set ACC_IGNORE in mask")
@@ -234,9 +242,9 @@ class RoverAutopilot:
         self._target_m = (east_m, north_m)
 
     def _set_mode(self, mode: int) -> int:
-        if mode not in MODES:
+        if mode not in self.profile.modes:
             return FAILED
-        if mode == AUTO:
+        if mode == self.profile.auto:
             self.say("No Mission. Can't set AUTO.")
             return FAILED
         self._change_mode(mode)
@@ -248,7 +256,7 @@ class RoverAutopilot:
             self._target_m = None
             self._speed_m_s = self.body.max_speed_m_s
         self.mode = mode
-        if mode in (RTL, SMART_RTL):
+        if mode in self.profile.home:
             self._target_m = self.home_m
         self._out.append(self._heartbeat(0.0))
 
@@ -281,7 +289,8 @@ class RoverAutopilot:
         before_s, self._moved_s = self._moved_s, t_s
         if before_s is None:
             return
-        driving = self.armed and not self.trouble.stuck and self.mode in (GUIDED, RTL, SMART_RTL)
+        steered = self.mode == self.profile.guided or self.mode in self.profile.home
+        driving = self.armed and not self.trouble.stuck and steered and not self._stalls_at_fence()
         if driving and self._target_m is not None:
             self.body.go_to(*self._target_m, self._speed_m_s)
         else:
@@ -292,6 +301,37 @@ class RoverAutopilot:
             self.body.step(step_s)
             left_s -= step_s
 
+    def _asked_mode(self, message: Message) -> int:
+        """DO_SET_MODE's mode: one number, or PX4's two."""
+        if self.profile.modes_in_two_parts:
+            return px4_mode(int(message.param2), int(message.param3))
+        return int(message.param2)
+
+    def _fence_m(self) -> list[tuple[float, float]]:
+        """Corners of its own fence, in metres; empty where none is enabled."""
+        if not self.parameters.get("FENCE_ENABLE"):
+            return []
+        corners = tuple((item.x, item.y) for item in self.plans.items.get(mavlink.MAV_MISSION_TYPE_FENCE, []))
+        if corners != self._fence_e7:
+            self._fence_e7 = corners
+            places = (self.frame.to_local(lat / 1e7, lon / 1e7) for lat, lon in corners)
+            self._fence = [(east_m, north_m) for east_m, north_m, _ in places]
+        return self._fence
+
+    def _beyond_fence(self, lat: int, lon: int) -> bool:
+        east_m, north_m, _ = self.frame.to_local(lat / 1e7, lon / 1e7)
+        fence = self._fence_m()
+        return bool(fence) and edge_ahead_m((east_m, north_m), (east_m, north_m), fence) < 0
+
+    def _stalls_at_fence(self) -> bool:
+        """AVOID_ENABLE 3: it stops about 3 m inside its fence, stays in GUIDED and says nothing."""
+        if not (self.profile.avoids_fence and self.parameters.get("AVOID_ENABLE") and self._target_m):
+            return False
+        fence = self._fence_m()
+        here = (self.body.east_m, self.body.north_m)
+        braking_m = self.body.speed_m_s**2 / (4.0 * self.body.max_accel_m_s2)
+        return bool(fence) and edge_ahead_m(here, self._target_m, fence) < STALL_M + braking_m
+
     def _watch_ground_station(self, t_s: float) -> None:
         if not self.gcs_failsafe_s or self._heartbeat_s is None:
             return
@@ -299,7 +339,7 @@ class RoverAutopilot:
         if lost and not self._failsafe and self.armed:
             self._failsafe = True
             self.say("GCS Failsafe")
-            self._change_mode(HOLD)
+            self._change_mode(self.profile.hold)
         elif self._failsafe and not lost:
             self._failsafe = False
             self.say("GCS Failsafe Cleared")  # and stays in HOLD
@@ -314,7 +354,7 @@ class RoverAutopilot:
         base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0
         state = mavlink.MAV_STATE_ACTIVE if self.armed else mavlink.MAV_STATE_STANDBY
         return mavlink.MAVLink_heartbeat_message(
-            mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, base, self.mode, state, 3
+            self.profile.vehicle_type, self.profile.autopilot, base, self.mode, state, 3
         )
 
     def _sys_status(self, _: float) -> Message:
