@@ -351,37 +351,42 @@ def study(
     name: Annotated[str, typer.Argument(help="Which study: trust, calibration, ...")],
     trials: Annotated[int, typer.Option(min=1, help="Trials of each scenario.")] = 100,
     seed: Annotated[int, typer.Option(help="Of the first trial; the others count up.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Folder for result.json and the plot.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for results and plot; a killed study goes on where it was.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; all cores if not given.")] = None,
+    dask: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Run on the Dask cluster of this scheduler.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run many simulated trials and measure: time, false finds, coverage.
 
-    Example: fieldkit study trust --trials 20 --json
+    Example: fieldkit study prwa-fig5a --trials 20 --out studies/fig5a
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 
     from fieldkit import plugins
-    from fieldkit.files import write_whole
+    from mission.console import study_table
+    from mission.study.options import supported
+    from mission.study.results import BULKY, save
 
     run_study = plugins.load("fieldkit.studies", name)
+    how = supported(
+        run_study, name, workers=workers, dask=dask, kept=None if out is None else out / "trials.jsonl"
+    )
     columns = (TextColumn("{task.description}"), BarColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("starting", total=1.0)
         result = run_study(
-            trials, seed, lambda share, text: bar.update(task, completed=share, description=text)
+            trials, seed, lambda share, text: bar.update(task, completed=share, description=text), **how
         )
     if out is not None:
-        write_whole(out / "result.json", json.dumps(result, indent=2, default=str))
-        if "times_s" in result:
-            from mission.study.plot import plot_times
-
-            plot_times(result, out / "times.png")
+        save(result, out)
     if as_json:
-        _print_json({key: value for key, value in result.items() if key != "times_s"})
+        _print_json({key: value for key, value in result.items() if key not in BULKY})
         return
-    from mission.console import study_table
-
     study_table(result)
 
 

@@ -206,7 +206,7 @@ def study_table(result: dict[str, Any]) -> None:
     table = Table(
         title=f"{result.get('study', '')}: {result.get('trials', '')} trials each", title_justify="left"
     )
-    table.add_column("scenario")
+    table.add_column("scenario", no_wrap=True)
     for column in first:
         table.add_column(column.replace("_", " "), justify="right")
     for name, row in scenarios.items():
@@ -215,10 +215,14 @@ def study_table(result: dict[str, Any]) -> None:
             if isinstance(v, float) and abs(v) < 10
             else f"{v:.0f}"
             if isinstance(v, float)
+            else "-"
+            if v is None
             else str(v)
             for v in row.values()
         ]
         table.add_row(name, *shown)
+    if "simulated_s_per_s" in result:
+        table.caption = f"{result['simulated_s_per_s']:,.0f} simulated seconds a second and core"
     console.print(table)
 
 

@@ -172,13 +172,13 @@ def run(
     *,
     only: str = "",
     paper_trials: int = 0,
-    workers: int | None = None,
+    **how: Any,
 ) -> dict[str, Any]:
-    """All scenarios, `trials` each from `seed` on; `only` keeps those whose name contains it."""
+    """All scenarios, `trials` each from `seed` on; `only` keeps those whose name contains it; `how` as `run_trials`."""
     wanted = [s for s in SCENARIOS if only in s.name]
     jobs = [Job(scenario, seed + k) for scenario in wanted for k in range(trials)]
     jobs += [Job(PAPER, seed + k) for k in range(paper_trials)]
-    rows = run_trials(trial, jobs, progress, workers=workers)
+    rows = run_trials(trial, jobs, progress, **how)
     grouped: dict[str, list[dict[str, Any]]] = {}
     for job, row in zip(jobs, rows, strict=True):
         grouped.setdefault(job.scenario.name, []).append(row)
