@@ -23,6 +23,8 @@ from fieldkit.messages import Detection, FloatArray
 STEP_DB = 1.0 / 32.0
 RANGE_DB = 160.0
 """Half width of the tables; x beyond it is clamped."""
+BLOCK = 4096
+"""Points taken at a time."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
@@ -92,19 +94,26 @@ class PairwiseModel:
 
     def log_likelihood(self, detection: Detection) -> FloatArray:
         """(n,) log of Theorem 1's product without its constant."""
-        # numpy's logarithm is vectorised, a compiled loop's is not.
-        log_d2 = np.empty((detection.position_m.shape[0], self._east_m.size))
-        kernels.squared_ranges(self._east_m, self._north_m, detection.position_m, self._floor_m2, log_d2)
-        np.log(log_d2, out=log_d2)
-        out = np.zeros(self._east_m.size)
-        kernels.pair_lookups(
-            log_d2,
-            detection.rss_dbm,
-            self.antenna.threshold_dbm,
-            self._steps_per_log,
-            RANGE_DB,
-            1.0 / STEP_DB,
-            *self._tables,
-            out,
-        )
+        # numpy's logarithm is vectorised, a compiled loop's is not; in blocks, so that large fields stay in the cache.
+        n, m = self._east_m.size, detection.position_m.shape[0]
+        out = np.zeros(n)
+        room = np.empty(m * min(n, BLOCK))
+        for start in range(0, n, BLOCK):
+            block = slice(start, min(n, start + BLOCK))
+            size = block.stop - start
+            log_d2 = room[: m * size].reshape(m, size)
+            kernels.squared_ranges(
+                self._east_m[block], self._north_m[block], detection.position_m, self._floor_m2, log_d2
+            )
+            np.log(log_d2, out=log_d2)
+            kernels.pair_lookups(
+                log_d2,
+                detection.rss_dbm,
+                self.antenna.threshold_dbm,
+                self._steps_per_log,
+                RANGE_DB,
+                1.0 / STEP_DB,
+                *self._tables,
+                out[block],
+            )
         return out
