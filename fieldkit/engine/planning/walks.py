@@ -98,10 +98,14 @@ class PairPatrol:
         return Plan(situation.t_ns, paths, dict.fromkeys(paths, "patrol"))
 
     def _advance(self, group: tuple[str, ...], here_m: FloatArray) -> int:
-        """The corner to drive to: the next one once the present one is reached."""
+        """The corner to drive to: the one after the corner it stands at, were it the second of the last plan."""
         at = self._next.setdefault(group, 0)
-        if np.hypot(*(self._route[at % len(self._route)] - here_m)) < 2.0 * typical_range_m(self.settings):
-            at += 1
+        reach = max(0.5 * typical_range_m(self.settings), 0.5)
+        for ahead in (1, 0):
+            corner = self._route[(at + ahead) % len(self._route)]
+            if np.hypot(*(corner - here_m)) < reach:
+                at += ahead + 1
+                break
         self._next[group] = at % len(self._route)
         return self._next[group]
 
