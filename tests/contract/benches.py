@@ -25,7 +25,7 @@ from drivers.mavlink.fleet import open_link
 from drivers.positions.source import open_file
 from drivers.sniffers.pcap import open_capture
 from drivers.sniffers.receiver import open_nrf, open_ti
-from drivers.xbee.receiver import open_receiver
+from drivers.xbee.receiver import open_receiver, open_survey
 from fieldkit.clock import Clock, RealClock, ScaledClock
 from fieldkit.geo import FieldFrame
 from fieldkit.ports import ReceiverFactory, Surroundings
@@ -73,6 +73,27 @@ def on_wire(
             folder.cleanup()
 
     return bench
+
+
+@asynccontextmanager
+async def survey_on_wire() -> AsyncIterator[ReceiverBench]:
+    """Energy scans back to back: readings come of themselves, 16 channels a scan."""
+    folder = tempfile.TemporaryDirectory()
+    radio = PluggedModule(Module(), pty(Path(folder.name)))
+    await radio.plug()
+
+    async def wait(count: int) -> None:
+        await asyncio.sleep(0)
+
+    async def unplug() -> None:
+        radio.unplug()
+
+    try:
+        receiver = open_survey("ada", {"port": radio.wire.port, "energy_scan_s": 0.05}, around())
+        yield ReceiverBench(receiver, wait, unplug, radio.plug, of_itself=True)
+    finally:
+        radio.unplug()
+        folder.cleanup()
 
 
 @asynccontextmanager
@@ -229,6 +250,7 @@ RECEIVERS: dict[str, Bench] = {
     "nrf-sniffer": on_wire(open_nrf, lambda: NrfDongle(now_us), pty),
     "ti-sniffer": on_wire(open_ti, lambda: TiDongle(now_us), pty),
     "pcap": capture_on_pipe,
+    "ed": survey_on_wire,
 }
 VEHICLE_LINKS = {"mavlink": mavlink_on_rovers}
 POSITION_SOURCES: dict[str, Any] = {"camera": camera_on_network, "file": positions_from_file}
