@@ -338,15 +338,18 @@ class Safety:
         """Whose way this one comes too near, however their starts fall; empty when it keeps clear."""
         limit_m = 1.2 * self.settings.near_m
         for other in self.robots.values():
-            its = ways.get(other.name) or other.way()
-            if other is robot or its is None or other.name in undecided or keep_apart_m(way, its) >= limit_m:
+            if other is robot or other.name in undecided:
                 continue
-            now_m = math.dist(way.start_m, its.start_m)
-            nearest = min(
-                nearest_m(replace(way, delay_s=a), replace(its, delay_s=b)) for a, b in _starts(its)
-            )
-            if nearest < min(limit_m, now_m - 0.01):
-                return f"its way comes within {nearest:.2f} m of {other.name}"
+            new = ways.get(other.name)
+            for its in other.ways() if new is None else (new,):
+                if keep_apart_m(way, its) >= limit_m:
+                    continue
+                now_m = math.dist(way.start_m, its.start_m)
+                nearest = min(
+                    nearest_m(replace(way, delay_s=a), replace(its, delay_s=b)) for a, b in _starts(its)
+                )
+                if nearest < min(limit_m, now_m - 0.01):
+                    return f"its way comes within {nearest:.2f} m of {other.name}"
         return ""
 
     def _tame(self, target: Waypoint, pose: Pose) -> Waypoint:

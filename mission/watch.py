@@ -143,6 +143,13 @@ class Watched:
             drives = self.fading
         return standing(here) if drives is None else Way(here, drives.end_m, drives.speed_m_s)
 
+    def ways(self) -> tuple[Way, ...]:
+        """All that it may be doing: one told to stop may have stopped already, or drive on."""
+        way, here = self.way(), self.place_m
+        if way is None or here is None:
+            return ()
+        return (way,) if self.moving or way.length_m == 0 else (way, standing(here))
+
     def drift(self, ahead_s: float) -> Way | None:
         """Where it will be soon, by how it has moved; for those that others steer, or nobody."""
         here = self.place_m

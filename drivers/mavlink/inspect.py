@@ -19,7 +19,7 @@ GOOD_EPH = 200
 """HDOP times 100 up to which a fix counts as good."""
 EKF_ABSOLUTE = 16
 """EKF_STATUS_REPORT flag: horizontal position, absolute."""
-LOSS_AMBER, LOSS_RED = 0.05, 0.3
+LOSS_AMBER, LOSS_RED = 0.05, 0.5
 BOUND_AMBER_MS = 50.0
 """Half a round trip: more than this and receptions need a window wider than 250 ms."""
 

@@ -8,8 +8,8 @@ from drivers.mavlink.modes import PX4, Firmware
 from drivers.mavlink.plans import Inbox
 from fieldkit.clock import Clock
 
-TRIES = 3
-WAIT_S = 1.0
+TRIES = 10
+WAIT_S = 0.5
 _INTEGERS = {
     mavlink.MAV_PARAM_TYPE_INT8: "b",
     mavlink.MAV_PARAM_TYPE_UINT8: "B",

@@ -6,6 +6,7 @@ Protocol: https://mavlink.io/en/services/mission.html
 """
 
 import asyncio
+import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -25,6 +26,7 @@ FIRST_WAIT_S = 1.5
 ITEM_WAIT_S = 2.5
 """A vehicle that misses an item asks again after 1 s and gives up after 8 s."""
 WHOLE_S = 60.0
+WHOLE_TRIES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,21 +85,38 @@ class PlanTalk:
     own_id: int
 
     async def upload(self, items: Sequence[PlanItem]) -> None:
-        """Send the items and read them back. Raises `VehicleRefused`, `DeviceTimeout`."""
+        """Send the items and read them back. Raises `VehicleRefused`, `DeviceTimeout`.
+
+        One that breaks off is read back all the same, for only its last answer may be lost, and else sent again.
+        """
+        for attempt in range(WHOLE_TRIES):
+            try:
+                await self._upload_once(items)
+                return
+            except DeviceTimeout:
+                with contextlib.suppress(DeviceTimeout):
+                    if self._agrees(items, await self.download()):
+                        return
+                if attempt == WHOLE_TRIES - 1:
+                    raise
+
+    async def _upload_once(self, items: Sequence[PlanItem]) -> None:
         if not items:
             await self._clear()
         else:
             await self._send_all(items)
         held = await self.download()
-        first = 1 if self.kind == MISSION else 0  # ArduPilot keeps item 0 of a mission for home
-        same = len(held) == len(items) and all(
-            a.agrees(b) for a, b in zip(items[first:], held[first:], strict=True)
-        )
-        if not same:
+        if not self._agrees(items, held):
             raise VehicleRefused(
                 f"{self.robot}: the {NAMES[self.kind]} read back is not the one sent "
                 f"({len(held)} items for {len(items)}); send it again before starting"
             )
+
+    def _agrees(self, items: Sequence[PlanItem], held: Sequence[PlanItem]) -> bool:
+        first = 1 if self.kind == MISSION else 0  # ArduPilot keeps item 0 of a mission for home
+        return len(held) == len(items) and all(
+            a.agrees(b) for a, b in zip(items[first:], held[first:], strict=True)
+        )
 
     async def _send_all(self, items: Sequence[PlanItem]) -> None:
         count = mavlink.MAVLink_mission_count_message(self.system_id, AUTOPILOT, len(items), self.kind)

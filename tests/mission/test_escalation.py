@@ -131,6 +131,19 @@ def test_robots_that_come_to_meet_are_stopped_before_they_do() -> None:
     assert closest > 0.3
 
 
+def test_a_robot_told_to_stop_is_taken_for_driving_on_and_for_standing() -> None:
+    field = Field()
+    field.at["a"] = (3.0, 8.5)
+    field.tick(5)
+    field.send(("b", 6.0, 15.0))
+    field.tick(6)  # b is at (6, 5), on its way north
+    field.safety.observe(VehicleState(field.t_s * S, "b", "other", True))
+    field.safety.observe(Tick(field.t_s * S))
+    assert isinstance(field.send(("a", 9.0, 1.5))[0], Hold), "it may have stopped where it is"
+    assert isinstance(field.send(("a", 9.0, 8.5))[0], Hold), "it may still be driving"
+    assert isinstance(field.send(("a", 3.0, 14.0))[0], GoTo)
+
+
 def test_a_way_past_a_standing_robot_is_held_but_one_away_from_it_is_not() -> None:
     field = Field()
     assert isinstance(field.send(("a", 8.0, 2.0))[0], Hold)
