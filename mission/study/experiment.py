@@ -120,34 +120,47 @@ def table_csv(result: dict[str, Any]) -> str:
 
 
 def plot(result: dict[str, Any], path: Path) -> None:
-    """Mean (censored trials at the limit) and standard error against x; hollow where some are censored."""
+    """Mean (censored trials at the limit) and standard error against x; hollow where some are censored.
+
+    Methods named "panel; line" stand in panels of their own.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(7.2, 4.2))
+    panels: dict[str, list[str]] = {}
     for method in result["methods"]:
-        rows = [result["scenarios"][key(method, x)] for x in result["xs"]]
-        means = [row.get("mean_with_censored", row["mean"]) for row in rows]
-        xs = [x for x, mean in zip(result["xs"], means, strict=True) if mean is not None]
-        shown = [mean for mean in means if mean is not None]
-        errors = [
-            (row["std"] or 0.0) / np.sqrt(max(1, row["trials"]))
-            for row, mean in zip(rows, means, strict=True)
-            if mean is not None
-        ]
-        line = axes.errorbar(xs, shown, errors, marker="o", ms=4, lw=1.3, capsize=2, label=method)
-        hollow = [
-            (x, m)
-            for x, m, row in zip(result["xs"], means, rows, strict=True)
-            if m is not None and row["censored"]
-        ]
-        if hollow:
-            axes.plot(*zip(*hollow, strict=True), "o", ms=6, mfc="white", mec=line[0].get_color(), ls="none")
-    axes.set(xlabel=result["x_label"], ylabel=result["y_label"], title=result["title"])
-    axes.set_ylim(bottom=0)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, frameon=False)
+        panels.setdefault(method.rpartition("; ")[0], []).append(method)
+    columns = min(3, len(panels))
+    rows = -(-len(panels) // columns)
+    figure, grid = plt.subplots(
+        rows, columns, figsize=(7.2 if columns == 1 else 4.4 * columns, 4.2 * rows), squeeze=False
+    )
+    for axes, (panel, methods) in zip(grid.flat, panels.items(), strict=False):
+        for method in methods:
+            _line(axes, result, method)
+        axes.set(xlabel=result["x_label"], ylabel=result["y_label"], title=panel or result["title"])
+        axes.set_ylim(bottom=0)
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8, frameon=False)
+    figure.tight_layout()
     figure.savefig(path, dpi=110, bbox_inches="tight")
     plt.close(figure)
+
+
+def _line(axes: Any, result: dict[str, Any], method: str) -> None:
+    points = []
+    for x in result["xs"]:
+        row = result["scenarios"][key(method, x)]
+        mean = row.get("mean_with_censored", row["mean"])
+        if mean is not None:
+            points.append((x, mean, (row["std"] or 0.0) / np.sqrt(row["trials"]), row["censored"]))
+    if not points:
+        return
+    xs, means, errors, censored = (np.array(column) for column in zip(*points, strict=True))
+    line = axes.errorbar(
+        xs, means, errors, marker="o", ms=4, lw=1.3, capsize=2, label=method.rpartition("; ")[2]
+    )
+    hollow = censored > 0
+    axes.plot(xs[hollow], means[hollow], "o", ms=6, mfc="white", mec=line[0].get_color(), ls="none")
