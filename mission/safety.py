@@ -40,7 +40,7 @@ from fieldkit.messages import (
 )
 from mission.homing import Homing, home_way
 from mission.watch import SafetySettings, Trouble, Watched, trouble_of, unfit
-from mission.ways import Place, Way, keep_apart_m, nearest_m, standing
+from mission.ways import Place, Way, ever_m, keep_apart_m, nearest_m, standing
 
 __all__ = ["Safety", "SafetySettings"]
 
@@ -278,8 +278,10 @@ class Safety:
         soon = [self._soon(robot) for robot in robots]
         for later, mine in enumerate(robots):
             for earlier, other in enumerate(robots[:later]):
-                if _gap_m(mine, other) < (1.2 * limit if before[mine.name] else limit):
-                    mine.too_near = True
+                gap_m = _gap_m(mine, other)
+                if gap_m < (1.2 * limit if before[mine.name] else limit):
+                    if _closing(soon[earlier], soon[later], gap_m):
+                        (mine if self._drives(mine) else other).too_near = True
                 elif (yields := self._must_yield(other, mine, soon[earlier], soon[later])) is not None:
                     yields.too_near = True
 
@@ -287,6 +289,12 @@ class Safety:
         self, first: Watched, second: Watched, one: Way | None, two: Way | None
     ) -> Watched | None:
         """Which of two has to stop now so that they do not meet on their next ways; None where they keep clear."""
+        for mover, way, other in ((second, two, first), (first, one, second)):
+            somewhere = other.unseen(self.settings)
+            if way is None or somewhere is None or not self._drives(mover):
+                continue
+            if ever_m(way, somewhere) < self.settings.near_m:
+                return mover
         if one is None or two is None or not (one.length_m or two.length_m):
             return None
         if keep_apart_m(one, two) >= self.settings.near_m:
@@ -294,9 +302,14 @@ class Safety:
         limit_m = min(self.settings.near_m, math.dist(one.start_m, two.start_m) - 0.01)
         if nearest_m(one, two) >= limit_m:
             return None
-        if second.moving and (not first.moving or nearest_m(one, standing(two.start_m)) >= limit_m):
+        helps = nearest_m(one, standing(two.start_m)) >= limit_m
+        if self._drives(second) and (helps or not self._drives(first)):
             return second
-        return first if first.moving else second
+        return first if self._drives(first) else second
+
+    def _drives(self, robot: Watched) -> bool:
+        """It is under way for us, to a way-point or home."""
+        return robot.moving or robot.name in self.homing.under_way
 
     def _soon(self, robot: Watched) -> Way | None:
         """Its way for the next moments."""
@@ -345,9 +358,12 @@ class Safety:
                 if keep_apart_m(way, its) >= limit_m:
                     continue
                 now_m = math.dist(way.start_m, its.start_m)
-                nearest = min(
-                    nearest_m(replace(way, delay_s=a), replace(its, delay_s=b)) for a, b in _starts(its)
-                )
+                if (somewhere := other.unseen(self.settings)) is not None:
+                    nearest = ever_m(way, somewhere)
+                else:
+                    nearest = min(
+                        nearest_m(replace(way, delay_s=a), replace(its, delay_s=b)) for a, b in _starts(its)
+                    )
                 if nearest < min(limit_m, now_m - 0.01):
                     return f"its way comes within {nearest:.2f} m of {other.name}"
         return ""
@@ -380,6 +396,11 @@ def _starts(its: Way) -> list[tuple[float, float]]:
         return [(0.0, 0.0)]
     delays = [STARTS_S * k / 5 for k in range(1, 6)]
     return [(0.0, 0.0), *((delay, 0.0) for delay in delays), *((0.0, delay) for delay in delays)]
+
+
+def _closing(one: Way | None, two: Way | None, gap_m: float) -> bool:
+    """Whether two robots come still nearer to each other."""
+    return one is not None and two is not None and nearest_m(one, two) < gap_m - 0.01
 
 
 def _way_to(place_m: Place, waypoint: Waypoint) -> Way:

@@ -5,7 +5,7 @@ says what follows when it lasts: home, where the robot is of no more use out the
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -149,6 +149,15 @@ class Watched:
         if way is None or here is None:
             return ()
         return (way,) if self.moving or way.length_m == 0 else (way, standing(here))
+
+    def unseen(self, settings: SafetySettings) -> Way | None:
+        """Where it may be by now, if its position is old: anywhere on what it can have driven since; else None."""
+        way = self.way()
+        if self.pose is None or way is None or way.length_m == 0:
+            return None
+        if (self.now_ns - self.pose.t_ns) * 1e-9 <= settings.pose_timeout_s:
+            return None
+        return replace(way, end_m=way.at(FADING_S))
 
     def drift(self, ahead_s: float) -> Way | None:
         """Where it will be soon, by how it has moved; for those that others steer, or nobody."""

@@ -144,6 +144,29 @@ def test_a_robot_told_to_stop_is_taken_for_driving_on_and_for_standing() -> None
     assert isinstance(field.send(("a", 3.0, 14.0))[0], GoTo)
 
 
+def test_a_robot_not_seen_any_more_may_be_anywhere_on_its_way() -> None:
+    field = Field()
+    field.send(("b", 6.0, 15.0))
+    field.tick(4)
+    field.dumb.add("b")
+    field.goal["b"] = None
+    field.tick(3)
+    for target in ((10.0, 6.0), (10.0, 9.0)):
+        assert isinstance(field.send(("a", *target))[0], Hold)
+    assert isinstance(field.send(("a", 2.0, 14.0))[0], GoTo)
+
+
+def test_two_robots_too_near_may_drive_apart() -> None:
+    field = Field()
+    field.at["b"] = (2.3, 2.0)
+    field.tick(5)
+    field.log.clear()
+    assert isinstance(field.send(("b", 8.0, 2.0))[0], GoTo)
+    field.tick(20)
+    assert not field.said(Hold, "b")
+    assert math.dist(*field.at.values()) > 5.0
+
+
 def test_a_way_past_a_standing_robot_is_held_but_one_away_from_it_is_not() -> None:
     field = Field()
     assert isinstance(field.send(("a", 8.0, 2.0))[0], Hold)
