@@ -131,20 +131,20 @@ def add_exposure(
 
 
 @njit(cache=True, nogil=True)
-def leave_one_out(loglik: FloatArray, logpost: FloatArray, weight: float) -> float:
+def leave_one_out(loglik: FloatArray, logpost: FloatArray, active: IntArray, weight: float) -> float:
     """log of the predictive probability of one detection under a source that may already count it.
 
     `loglik` and `logpost` are flat over (hypothesis, point); `logpost` includes `weight` times this detection.
-    Entries 20 nats under the best are skipped.
+    Only the entries `active` count; those 20 nats under the best are skipped.
     """
     best = -1e300
-    for i in range(loglik.shape[0]):
+    for i in active:
         rest = logpost[i] - weight * loglik[i]
         if rest > best:
             best = rest
     total = 0.0
     total_with = 0.0
-    for i in range(loglik.shape[0]):
+    for i in active:
         rest = logpost[i] - weight * loglik[i] - best
         if rest > -20.0:
             p = math.exp(rest)

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldkit.engine import kernels
-from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate
+from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, active_entries
 from fieldkit.messages import FloatArray
 
-ACTIVE_NATS = 40.0
-"""A detection may lower an entry by this much and still have it count when it is left out."""
 MOVED = 1e-6
 """A share that changes by less stays as it is, and the evidence with it."""
 
@@ -58,7 +56,7 @@ def share_out(
         active, post, log_exposure = [np.empty(0, dtype=np.int64)], [np.empty(0)], [np.empty(0)]
         for candidate in candidates:
             log = candidate.log_posterior().ravel()
-            keep = np.flatnonzero(log > log.max() - ACTIVE_NATS)
+            keep = active_entries(log)
             active.append(keep)
             post.append(log[keep])
             log_exposure.append(candidate.log_exposure.ravel()[keep])

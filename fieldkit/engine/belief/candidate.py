@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from fieldkit.engine import kernels
@@ -17,6 +18,14 @@ from fieldkit.messages import FloatArray
 RATE_SHAPE = 1.0
 """a of the Gamma prior of a source's rate: its mean is the reference rate, its spread is as wide."""
 NEGLIGIBLE_NATS = 20.0
+ACTIVE_NATS = 40.0
+"""A detection may lower an entry by this much and still have it count when it is left out."""
+
+
+def active_entries(log_posterior: FloatArray) -> NDArray[np.intp]:
+    """Flat indices of the entries of (h, n) that can count for anything."""
+    flat = log_posterior.ravel()
+    return np.flatnonzero(flat > flat.max() - ACTIVE_NATS)
 
 
 def log_sum(logs: FloatArray) -> float:
@@ -32,6 +41,8 @@ class Rival:
     probability: float
     places_m: FloatArray
     """(2, 2) where the two would be."""
+    undecided: bool
+    """Whether it is likely enough to go and see."""
 
 
 @dataclass
@@ -102,10 +113,15 @@ class Candidate:
         self.evidence += (share - self.share[number]) * self.logs[number]
         self.share[number] = share
 
-    def log_predictive(self, number: int, log_posterior: FloatArray) -> float:
-        """log p(detection | this source sent it), from what the OTHER detections say of the source."""
+    def log_predictive(self, number: int, log_posterior: FloatArray, active: NDArray[np.intp]) -> float:
+        """log p(detection | this source sent it), from what the OTHER detections say of the source.
+
+        `active` lists the flat entries of `log_posterior` that count.
+        """
         return float(
-            kernels.leave_one_out(self.logs[number].ravel(), log_posterior.ravel(), self.share[number])
+            kernels.leave_one_out(
+                self.logs[number].ravel(), log_posterior.ravel(), active, self.share[number]
+            )
         )
 
     def mean_exposure_s(self, posterior: FloatArray) -> float:

@@ -233,7 +233,8 @@ class IntensityBelief:
         """Candidates not found, or that may be two sources, each with samples of where and how strong it may be."""
         result = []
         for candidate in self.candidates:
-            if candidate.state == "found" and candidate.rival is None:
+            rival = candidate.rival if candidate.rival is not None and candidate.rival.undecided else None
+            if candidate.state == "found" and rival is None:
                 continue
             posterior = candidate.posterior()
             picks = rng.choice(posterior.size, size=samples, p=posterior.ravel() / posterior.sum())
@@ -241,11 +242,11 @@ class IntensityBelief:
             level = np.where(hypothesis < self.model.power_db.size, hypothesis, self.model.n_known // 2)
             summary = self.mixture.summary(candidate)
             places, cov = candidate.points_m[point].copy(), summary.cov_m2
-            if candidate.rival is not None:
-                two = round(samples * candidate.rival.probability)
-                places[:two] = candidate.rival.places_m[np.arange(two) % 2]
-                apart = candidate.rival.places_m[1] - candidate.rival.places_m[0]
-                cov = cov + candidate.rival.probability * np.outer(apart, apart) / 4.0
+            if rival is not None:
+                two = round(samples * rival.probability)
+                places[:two] = rival.places_m[np.arange(two) % 2]
+                apart = rival.places_m[1] - rival.places_m[0]
+                cov = cov + rival.probability * np.outer(apart, apart) / 4.0
             result.append(
                 Unresolved(
                     candidate.ident,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, Rival, log_sum
+from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, Rival, active_entries, log_sum
 from fieldkit.messages import FloatArray
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 FIRST = 5.0
 """Receptions at which a candidate's story is first told afresh; then at every 1.4 times as many."""
 UNDECIDED_NATS = -3.0
-"""Evidence of the best story of two over that of one from which on the two are kept in mind."""
+"""Evidence of the best story of two over that of one from which on somebody has to go and see."""
 PLACE_ROUNDS = 6
 """Turns in which one of two places is chosen anew given the other."""
 BETTER_NATS = 1.0
@@ -51,11 +51,11 @@ def revise(mixture: "Mixture") -> bool:
         scores = [_score(pair, share) for pair in pairs]
         odds_nats = max(scores, default=-np.inf) - _score([single], share)
         candidate.rival = None
-        if odds_nats > UNDECIDED_NATS:
-            best = pairs[int(np.argmax(scores))]
-            candidate.rival = Rival(
-                float(1.0 / (1.0 + np.exp(-odds_nats))), np.array([_mean(part) for part in best])
-            )
+        undecided = odds_nats > UNDECIDED_NATS
+        if pairs:
+            places = np.array([_mean(part) for part in pairs[int(np.argmax(scores))]])
+            candidate.rival = Rival(float(1.0 / (1.0 + np.exp(-odds_nats))), places, undecided)
+        if undecided:
             mixture.revise_at[candidate.ident] = min(mixture.revise_at[candidate.ident], count + 1.9)
         if odds_nats > BETTER_NATS:
             parts = [_retold(mixture, candidate, part.share) for part in pairs[int(np.argmax(scores))]]
@@ -163,6 +163,7 @@ def _divide(
         for part in pair:
             part.prune()
         logs = [part.log_posterior() for part in pair]
+        active = [active_entries(log) for log in logs]
         exposure = [part.mean_exposure_s(part.posterior()) for part in pair]
         moved = 0.0
         for number, whole in share.items():
@@ -172,8 +173,8 @@ def _divide(
                         (RATE_SHAPE + max(0.0, c.receptions - c.share[number]))
                         / (mixture.rate_prior_s + seen)
                     )
-                    + c.log_predictive(number, log)
-                    for c, log, seen in zip(pair, logs, exposure, strict=True)
+                    + c.log_predictive(number, log, entries)
+                    for c, log, entries, seen in zip(pair, logs, active, exposure, strict=True)
                 ]
             )
             shares = whole * np.exp(terms - log_sum(terms))
