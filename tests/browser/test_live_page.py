@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Flown, looking, wait_until
+from flying import Flown, looking, wait_until
 
 from fieldkit.messages import SourceEstimate
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import looking, wait_until
+from flying import looking, wait_until
 
 from fieldkit.messages import Detection, Pose, SourceEstimate, Tick, VehicleState
 from fieldkit.recording.reader import open_recording
