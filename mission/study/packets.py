@@ -79,12 +79,12 @@ def search(
         [(r,) for r in robots] if getattr(walk, "alone", planner == "rwa") else list(engine.teams)
     )
     place = dict(zip(robots, np.asarray(start_m, dtype=float), strict=True))
-    sent = _transmissions(hidden, seed, cap_s)
+    sent = transmissions(hidden, seed, cap_s)
     noise = np.random.default_rng([seed, 1]).normal(0.0, 1.0, (len(sent.t_s), len(robots)))
     radio = channel or engine.antenna
     ways: dict[tuple[str, ...], Way] = {}
     column = {robot: index for index, robot in enumerate(robots)}
-    near = _cells_near(engine, hidden)
+    near = cells_near(engine, hidden)
     log_found = float(np.log1p(-engine.found_probability))
     outcome = Outcome(None, 0.0, 0, len(sent.t_s), 0, 0)
     now_s, next_plan_s, packet = 0.0, 0.0, 0
@@ -96,7 +96,7 @@ def search(
             plan = walk.plan(Situation(round(now_s * 1e9), position, tuple(due), {}), belief)
             outcome.plans += 1
             for group in due:
-                ways[group] = _way(plan, group, place, now_s, engine.max_speed_m_s)
+                ways[group] = way_of(plan, group, place, now_s, engine.max_speed_m_s)
         if periodic:
             next_plan_s = now_s + engine.planning_period_s
         until_s = min([cap_s, *(way.t_s[-1] for way in ways.values())])
@@ -144,12 +144,14 @@ def search(
 
 
 @dataclass(frozen=True, slots=True)
-class _Sent:
+class Sent:
+    """Packets: when (n,), and from which source (n,)."""
+
     t_s: FloatArray
     source: np.ndarray
 
 
-def _transmissions(hidden: tuple[TransientSource, ...], seed: int, cap_s: float) -> _Sent:
+def transmissions(hidden: tuple[TransientSource, ...], seed: int, cap_s: float) -> Sent:
     """All packets in order of time, each source a Poisson process of its own generator."""
     times, sources = [], []
     for index, source in enumerate(hidden):
@@ -162,10 +164,10 @@ def _transmissions(hidden: tuple[TransientSource, ...], seed: int, cap_s: float)
         sources.append(np.full(len(at), index))
     t, s = np.concatenate(times), np.concatenate(sources)
     order = np.argsort(t, kind="stable")
-    return _Sent(t[order], s[order])
+    return Sent(t[order], s[order])
 
 
-def _way(plan: Plan, group: tuple[str, ...], place: dict[str, Any], now_s: float, top_m_s: float) -> Way:
+def way_of(plan: Plan, group: tuple[str, ...], place: dict[str, Any], now_s: float, top_m_s: float) -> Way:
     """Corners in time: a leg lasts until its slowest robot has arrived."""
     legs = max((len(plan.paths.get(r, ())) for r in group), default=0)
     t, corners = [now_s], [np.array([place[r] for r in group])]
@@ -215,6 +217,13 @@ def _heard(
     return np.where(heard, reading, np.nan)
 
 
+def readings_dbm(radio: Antenna, source: TransientSource, at_m: FloatArray, noise: FloatArray) -> FloatArray:
+    """(m,) integer readings of one packet by robots at (m, 2), antennas the same all round; nan where not heard."""
+    distance = np.hypot(*(np.array([source.east_m, source.north_m]) - at_m).T)
+    reading = np.floor(radio.mean_rss_dbm(distance, source.power_db) + radio.sigma_db * noise + 0.5)
+    return np.where(reading > radio.threshold_dbm, reading, np.nan)
+
+
 def _headings(
     at_m: FloatArray, ways: dict[tuple[str, ...], Way], column: dict[str, int], t_s: float
 ) -> FloatArray:
@@ -228,7 +237,7 @@ def _headings(
     return heading
 
 
-def _cells_near(engine: EngineSettings, hidden: tuple[TransientSource, ...]) -> list[np.ndarray]:
+def cells_near(engine: EngineSettings, hidden: tuple[TransientSource, ...]) -> list[np.ndarray]:
     """For each source the flat indices of its cell and the eight round it."""
     grid = engine.grid
     result = []

@@ -8,7 +8,7 @@ from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.walks import PairPatrol, Patrol
 from mission.study import prwa, rwa
 from mission.study.experiment import Experiment, Job, key, plot, run, summarise, table_csv
-from mission.study.packets import _transmissions
+from mission.study.packets import transmissions
 
 
 def quiet(share: float, text: str) -> None:
@@ -43,7 +43,7 @@ def test_a_result_says_every_trial_and_can_be_drawn(tmp_path) -> None:  # type: 
 
 def test_every_method_meets_the_same_packets() -> None:
     hidden = (prwa.random_sources(2, 25.0, 25.0, (0.0,), 0.05, np.random.default_rng(0)),) * 2
-    one, other = (_transmissions(tuple(sources), 7, 2000.0) for sources in hidden)
+    one, other = (transmissions(tuple(sources), 7, 2000.0) for sources in hidden)
     assert (one.t_s == other.t_s).all() and (one.source == other.source).all()
     assert (np.diff(one.t_s) >= 0).all()
     assert len(one.t_s) == pytest.approx(2 * 0.05 * 2000, rel=0.35)

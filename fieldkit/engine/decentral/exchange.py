@@ -17,14 +17,25 @@ PODC 1984). That holds somewhat more events and sends no grids; `held` counts wh
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.detections import Associator
 from fieldkit.errors import RecordingError
-from fieldkit.messages import Pose, RssReading
+from fieldkit.messages import Detection, Listening, Pose, RssReading
 
 NEVER_NS = -(2**62)
+
+
+class Associator(Protocol):
+    """Poses and readings in, in one fixed order; detections out (`detections.Associator`, `tracks.TrackAssociator`)."""
+
+    def pose(self, pose: Pose) -> None: ...
+
+    def reading(self, reading: RssReading) -> None: ...
+
+    def advance(self, now_ns: int) -> tuple[list[Detection], list[Listening]]:
+        """What is certain at `now_ns`, a function of nothing but what was fed."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +58,8 @@ class Replica:
     belief: Belief
     associate: Callable[[], Associator]
     """Makes the associator; the same settings on every robot."""
+    aboard: tuple[str, ...] = ()
+    """Robots whose measurements go into its log, where they always stay in touch, as a pair does; else it alone."""
     knows_ns: dict[str, dict[str, int]] = field(init=False)
     """Robot q to robot p to the time up to which q is known to have p's log. `knows_ns[me]` is what we have."""
     _logs: dict[str, list[Pose | RssReading]] = field(init=False)
@@ -63,7 +76,7 @@ class Replica:
 
     def measure(self, event: Pose | RssReading) -> None:
         """Append a measurement of its own; they come in order of time. Raises `ValueError` for another's."""
-        if event.robot != self.me:
+        if event.robot not in (self.aboard or (self.me,)):
             raise ValueError(f"{self.me}: a measurement of {event.robot!r} comes by exchange, not here")
         if event.t_ns < self.knows_ns[self.me][self.me]:
             raise ValueError(
@@ -120,9 +133,12 @@ class Replica:
         """Up to when it has everybody's log (eq 5)."""
         return min(self.knows_ns[self.me].values())
 
-    def synchronise(self) -> bool:
-        """Feed the belief up to the checkpoint; whether there was a new one. Forgets what everybody has."""
-        checkpoint = self.checkpoint_ns
+    def synchronise(self, until_ns: int | None = None) -> bool:
+        """Feed the belief up to the checkpoint; whether there was a new one. Forgets what everybody has.
+
+        `until_ns` stops earlier: at a moment at which all are to plan from one belief.
+        """
+        checkpoint = self.checkpoint_ns if until_ns is None else min(self.checkpoint_ns, until_ns)
         if checkpoint <= self._fed_ns:
             return False
         fresh = [e for log in self._logs.values() for e in log if self._fed_ns < e.t_ns <= checkpoint]
@@ -154,11 +170,16 @@ def feed(associator: Associator, events: Iterable[Pose | RssReading]) -> None:
 
 def meet(one: Replica, other: Replica) -> None:
     """Two robots in range exchange all they have, and both look for a new checkpoint."""
+    exchange(one, other)
+    one.synchronise()
+    other.synchronise()
+
+
+def exchange(one: Replica, other: Replica) -> None:
+    """Two robots in range tell each other all they have."""
     to_one, to_other = other.answer(one.hello()), one.answer(other.hello())
     one.take(to_one)
     other.take(to_other)
-    one.synchronise()
-    other.synchronise()
 
 
 def _packed(event: Pose | RssReading) -> list[object]:

@@ -1,0 +1,194 @@
+"""Decentralised pairwise ridge walking (DPRWA Algorithm 1): one tour of ridges that all pairs share, as a ring in time.
+
+Ridges of the level set at 0.1 are merged with virtual ones, laid at random anew in every period, until there are
+`RIDGES`: the only exploration in these papers. Chance comes from (seed, number of the period), so pairs that plan apart
+from the same belief plan the same.
+
+What the paper leaves open: the number of ridges; a virtual ridge is 0.1 to 0.3 of the field's shorter side long and
+weighs what P(C_i^1) is within a typical range of it; a ridge of one cell is walked one cell long; ridges that distance
+splits into groups each get pairs by their summed weight, at least one, and virtual ridges join the nearest group.
+"""
+
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist, squareform
+
+from fieldkit.engine.belief.base import Belief
+from fieldkit.engine.decentral.circle import Circle, Period, make_circle, plan_period
+from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.ridges import Ridge, find_ridges
+from fieldkit.engine.planning.tour import ridge_tour
+from fieldkit.engine.planning.walks import typical_range_m
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.errors import ConfigError
+from fieldkit.messages import FloatArray, Plan, Waypoint
+
+LEVEL = 0.1
+TAU0_S = 500.0
+"""Circumference of the ring (section VI)."""
+RIDGES = 12
+"""s_max: real and virtual ridges together."""
+SLOWEST_M_S = 0.01
+
+
+class DprwaPlanner:
+    """See the module. `group_gap_m`: ridges further apart than this are toured in separate groups."""
+
+    alone = False
+
+    def __init__(
+        self,
+        settings: EngineSettings,
+        *,
+        tau0_s: float = TAU0_S,
+        ridges: int = RIDGES,
+        group_gap_m: float = np.inf,
+    ) -> None:
+        """Raises `ConfigError` for no ridges or no time."""
+        if ridges < 1 or not tau0_s > 0.0:
+            raise ConfigError(
+                f"dprwa: expected at least 1 ridge and tau0_s above 0, got {ridges} and {tau0_s}"
+            )
+        self.settings, self.tau0_s, self.most_ridges, self.group_gap_m = settings, tau0_s, ridges, group_gap_m
+        self.period = 0
+        """Number of the planning period: plans made so far."""
+
+    def plan(self, situation: Situation, belief: Belief) -> Plan:
+        """Paths of one period; robots on a path cannot wait: who is near its place on the ring drives there slowly."""
+        paths: dict[str, tuple[Waypoint, ...]] = {}
+        here = [np.array([situation.position_m[r] for r in team]) for team in situation.teams]
+        for members, period in self.periods(here, belief):
+            for index, team in enumerate(members):
+                t, place = np.delete(period.t_s[index], 1), np.delete(period.place_m[index], 1, axis=0)
+                for k, robot in enumerate(situation.teams[team]):
+                    paths[robot] = _timed(t, place[:, k], self.settings.max_speed_m_s)
+        return Plan(situation.t_ns, paths, dict.fromkeys(paths, "ring"))
+
+    def periods(self, here_m: list[FloatArray], belief: Belief) -> list[tuple[list[int], Period]]:
+        """For each group the indices of its teams, and their movements; `here_m` holds (m, 2) of each team."""
+        self.period += 1
+        if not here_m:
+            return []
+        real, virtual = self.ridges(belief)
+        ridges = real + virtual
+        groups = group_ridges(real or virtual, self.group_gap_m, len(here_m))
+        if real:
+            for index, ridge in enumerate(virtual, start=len(real)):
+                groups[
+                    _nearest(ridge, [[real[r] for r in group if r < len(real)] for group in groups])
+                ].append(index)
+        weights = np.array([sum(ridges[r].weight for r in group) for group in groups])
+        slots = np.repeat(np.arange(len(groups)), dispatch(weights, len(here_m)))
+        middles = np.array([np.mean([ridges[r].middle_m for r in group], axis=0) for group in groups])
+        cost = cdist([here.mean(axis=0) for here in here_m], middles[slots])
+        # One group: pairs keep their order on the ring, as the paper has it.
+        chosen = slots if len(groups) == 1 else slots[linear_sum_assignment(cost)[1]]
+        result = []
+        for index, group in enumerate(groups):
+            members = [team for team in range(len(here_m)) if chosen[team] == index]
+            circle = self._circle([ridges[r] for r in group], {len(here_m[team]) for team in members})
+            speed = self.settings.max_speed_m_s
+            result.append((members, plan_period(circle, [here_m[team] for team in members], speed)))
+        return result
+
+    def ridges(self, belief: Belief) -> tuple[list[Ridge], list[Ridge]]:
+        """Those of the level set and, up to `most_ridges` in all, virtual ones of this period."""
+        activity = belief.activity()
+        real = find_ridges(belief.presence(), activity, LEVEL, self.settings.grid)
+        chance = np.random.default_rng([self.settings.seed, 0xD9, self.period])
+        return real, virtual_ridges(self.settings, activity, max(0, self.most_ridges - len(real)), chance)
+
+    def _circle(self, ridges: list[Ridge], sizes: set[int]) -> Circle:
+        settings = self.settings
+        ends = np.array([_at_least(ridge.ends_m, settings.grid.cell_m) for ridge in ridges])
+        points = ends.reshape(-1, 2)
+        leftmost = points[np.lexsort((points[:, 1], points[:, 0]))[0]]  # where moment 0 of the ring is
+        order = ridge_tour(leftmost, ends, closed=True)
+        corners = np.concatenate([ends[r][::-1] if flip else ends[r] for r, flip in order])
+        weight = np.zeros(len(corners))
+        weight[::2] = [ridges[r].weight for r, _ in order]  # the legs on ridges
+        spacing = max(typical_range_m(settings), settings.min_separation_m)
+        return make_circle(
+            corners,
+            weight,
+            self.tau0_s,
+            settings.max_speed_m_s,
+            spacing,
+            sizes,
+            settings.grid,
+            settings.fence_margin_m,
+        )
+
+
+def virtual_ridges(
+    settings: EngineSettings, activity: FloatArray, count: int, chance: np.random.Generator
+) -> list[Ridge]:
+    """`count` segments anywhere in the field."""
+    grid = settings.grid
+    size = np.array([grid.size_east_m, grid.size_north_m])
+    reach = typical_range_m(settings)
+    ridges = []
+    for _ in range(count):
+        middle = chance.uniform(0.0, size)
+        heading, half = chance.uniform(0.0, np.pi), 0.5 * chance.uniform(0.1, 0.3) * size.min()
+        along = half * np.array([np.sin(heading), np.cos(heading)])
+        ends = np.clip(np.array([middle - along, middle + along]), 0.0, size)
+        flat = np.flatnonzero(_distance_m(grid.centres_m, ends) <= reach)
+        ridges.append(Ridge(ends, grid.centres_m[flat], flat, float(activity.ravel()[flat].sum())))
+    return ridges
+
+
+def group_ridges(ridges: list[Ridge], gap_m: float, most: int) -> list[list[int]]:
+    """Indices of ridges in groups further than `gap_m` apart, the nearest merged until there are at most `most`."""
+    if len(ridges) < 2 or most < 2 or np.isinf(gap_m):
+        return [list(range(len(ridges)))]
+    ends = np.array([ridge.ends_m for ridge in ridges])
+    along = np.linspace(0.0, 1.0, 5)[:, None]
+    points = ends[:, :1] + along * (ends[:, 1:] - ends[:, :1])
+    distance = np.array([[cdist(a, b).min() for b in points] for a in points])
+    np.fill_diagonal(distance, 0.0)
+    tree = linkage(squareform(distance, checks=False), "single")
+    label = fcluster(tree, gap_m, "distance")
+    if label.max() > most:
+        label = fcluster(tree, most, "maxclust")
+    return [[int(r) for r in np.flatnonzero(label == k)] for k in np.unique(label)]
+
+
+def dispatch(weights: FloatArray, pairs: int) -> list[int]:
+    """Pairs for each of at most as many groups: one each, and the others by weight (largest remainders)."""
+    if len(weights) > pairs:
+        raise ValueError(f"weights: {len(weights)} groups for {pairs} pairs; merge groups first")
+    total = float(np.sum(weights))
+    share = np.full(len(weights), 1.0 / len(weights)) if total <= 0.0 else np.asarray(weights) / total
+    given = np.ones(len(weights), dtype=int)
+    while given.sum() < pairs:
+        given[int(np.argmax(share * pairs - given))] += 1
+    return [int(n) for n in given]
+
+
+def _nearest(ridge: Ridge, groups: list[list[Ridge]]) -> int:
+    """The group one of whose ridges has its middle nearest to that of `ridge`."""
+    distance = [min(float(np.hypot(*(r.middle_m - ridge.middle_m))) for r in group) for group in groups]
+    return int(np.argmin(distance))
+
+
+def _at_least(ends_m: FloatArray, length_m: float) -> FloatArray:
+    """A ridge of one cell has no length: it is walked one cell long, west to east."""
+    if np.hypot(*(ends_m[1] - ends_m[0])) > 1e-9:
+        return ends_m
+    return ends_m + 0.5 * length_m * np.array([[-1.0, 0.0], [1.0, 0.0]])
+
+
+def _distance_m(points_m: FloatArray, ends_m: FloatArray) -> FloatArray:
+    """(n,) distance of points (n, 2) from a segment (2, 2)."""
+    along = ends_m[1] - ends_m[0]
+    share = np.clip((points_m - ends_m[0]) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
+    return np.asarray(np.hypot(*(points_m - ends_m[0] - share[:, None] * along).T))
+
+
+def _timed(t_s: FloatArray, place_m: FloatArray, top_m_s: float) -> tuple[Waypoint, ...]:
+    """Way-points of one robot that is at places (k, 2) at times (k,)."""
+    legs = np.hypot(*np.diff(place_m, axis=0).T)
+    speed = np.clip(legs / np.maximum(np.diff(t_s), 1e-9), SLOWEST_M_S, top_m_s)
+    return tuple(Waypoint(float(e), float(n), float(v)) for (e, n), v in zip(place_m[1:], speed, strict=True))
