@@ -517,10 +517,18 @@ def _judge(job: Job, flown: dict[str, Any], twin: dict[str, Any]) -> dict[str, A
     }
 
 
-def run(trials: int, seed: int, progress: Progress) -> dict[str, Any]:
-    """The campaign; every trial's seed is `seed` plus its number."""
+def run(
+    trials: int,
+    seed: int,
+    progress: Progress,
+    *,
+    workers: int | None = None,
+    kept: Path | None = None,
+    dask: str | None = None,
+) -> dict[str, Any]:
+    """The campaign; every trial's seed is `seed` plus its number. The rest as for `run_trials`."""
     jobs = [Job(number, seed + number) for number in range(trials)]
-    return summary(run_trials(trial, jobs, progress))
+    return summary(run_trials(trial, jobs, progress, workers=workers, kept=kept, dask=dask))
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
