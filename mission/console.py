@@ -223,6 +223,10 @@ def study_table(result: dict[str, Any]) -> None:
         table.add_row(name, *shown)
     if "simulated_s_per_s" in result:
         table.caption = f"{result['simulated_s_per_s']:,.0f} simulated seconds a second and core"
+        if "against_numpy" in result:
+            table.caption += (
+                f"; a search is {result['against_numpy']['times_faster']:.1f} times faster than in numpy"
+            )
     console.print(table)
 
 

@@ -18,6 +18,7 @@ from fieldkit.world.sources import random_sources
 from mission.study.experiment import Experiment, Job, run
 from mission.study.packets import search
 from mission.study.pool import Progress
+from mission.study.twin import against_numpy
 
 METHODS = ("prwa", "pair-random-walk", "random-walk", "pair-patrol", "patrol")
 LEVELS_DB = (-8.0, -6.0, -4.0, -2.0, 0.0)
@@ -91,8 +92,11 @@ FIG7 = Experiment(
 
 
 def fig5a(trials: int, seed: int, progress: Progress, **how: Any) -> dict[str, Any]:
-    """Figure 5(a): localisation time against the number of sources."""
-    return run(FIG5A, trials, seed, progress, **how)
+    """Figure 5(a): localisation time against the number of sources; and the speed of a search against plain numpy."""
+    settings = engine(seed, 6)
+    hidden = random_sources(4, 25.0, 25.0, LEVELS_DB, 0.05, np.random.default_rng([seed, 99]))
+    result = run(FIG5A, trials, seed, progress, **how)
+    return {**result, "against_numpy": against_numpy(settings, tuple(hidden), CAP_S)}
 
 
 def fig5b(trials: int, seed: int, progress: Progress, **how: Any) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from fieldkit.engine.planning.walks import PairPatrol, Patrol
 from mission.study import prwa, rwa
 from mission.study.experiment import Experiment, Job, key, plot, run, summarise, table_csv
 from mission.study.packets import transmissions
+from mission.study.twin import against_numpy
 
 
 def quiet(share: float, text: str) -> None:
@@ -76,3 +77,10 @@ def test_a_patrol_comes_along_every_lane(planner: type[PairPatrol]) -> None:
             passed |= {round(point.east_m // (25.0 / 6.0)) for point in path}
             place[robot] = (path[-1].east_m, path[-1].north_m)
     assert passed == set(range(6))
+
+
+def test_the_search_in_plain_numpy_is_the_same_search() -> None:
+    hidden = tuple(prwa.random_sources(3, 25.0, 25.0, prwa.LEVELS_DB, 0.05, np.random.default_rng(4)))
+    compared = against_numpy(prwa.engine(4, 6), hidden, 1500.0)
+    assert compared["detections"] > 5
+    assert compared["same_outcome"]
