@@ -6,6 +6,7 @@ import pytest
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.walks import PairPatrol, Patrol
+from fieldkit.engine.settings import EngineSettings
 from mission.study import prwa, rwa
 from mission.study.experiment import Experiment, Job, key, plot, run, summarise, table_csv
 from mission.study.packets import transmissions
@@ -64,17 +65,20 @@ def test_one_robot_with_a_directional_antenna_finds_two_sources() -> None:
         prwa.trial(Job("prwa-fig9", "prwa", 1, 0))
 
 
-@pytest.mark.parametrize("planner", [PairPatrol, Patrol])
-def test_a_patrol_comes_along_every_lane(planner: type[PairPatrol]) -> None:
-    engine = prwa.engine(0, 6)
+@pytest.mark.parametrize(
+    ("planner", "engine"),
+    [(PairPatrol, prwa.engine(0, 6)), (Patrol, prwa.engine(0, 6)), (Patrol, rwa.engine(0))],
+)
+def test_a_patrol_comes_along_every_lane(planner: type[PairPatrol], engine: EngineSettings) -> None:
     walk = planner(engine)
-    place = {robot: (2.0 + 1.6 * k, 1.0) for k, robot in enumerate(engine.robots)}
+    size = engine.grid.size_east_m
+    place = {robot: (0.08 * size + 0.06 * size * k, 0.04 * size) for k, robot in enumerate(engine.robots)}
     passed: set[int] = set()
     for _ in range(7):  # two corners each: once round the twelve
         plan = walk.plan(Situation(0, place, engine.teams[:1], {}), SpogBelief(engine))
         for robot in engine.teams[0]:
             path = plan.paths[robot]
-            passed |= {round(point.east_m // (25.0 / 6.0)) for point in path}
+            passed |= {round(point.east_m // (size / 6.0)) for point in path}
             place[robot] = (path[-1].east_m, path[-1].north_m)
     assert passed == set(range(6))
 

@@ -2,7 +2,7 @@
 
 The papers give no step length or lane width, and both change the ranking, so they are stated here: a walk goes
 straight on a uniformly random heading for 0.2 to 0.6 of the field's shorter side, cut at the border; a patrol
-drives lanes two typical ranges apart, the teams spread evenly along the route.
+drives lanes two typical ranges apart, at least six of them, the teams spread evenly along the route.
 """
 
 import math
@@ -15,6 +15,8 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
 LEGS = 3
+LEAST_LANES = 6
+"""Radios that hear across the whole field would else see it from two lines only."""
 
 
 def typical_range_m(settings: EngineSettings) -> float:
@@ -82,6 +84,7 @@ class PairPatrol:
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self._route = lanes(settings)
+        self._lane_m = settings.grid.size_east_m / (len(self._route) / 2)
         groups = [(r,) for team in settings.teams for r in team] if self.alone else list(settings.teams)
         self._next = {group: round(i / len(groups) * len(self._route)) for i, group in enumerate(groups)}
 
@@ -100,7 +103,7 @@ class PairPatrol:
     def _advance(self, group: tuple[str, ...], here_m: FloatArray) -> int:
         """The corner to drive to: the one after the corner it stands at, were it the second of the last plan."""
         at = self._next.setdefault(group, 0)
-        reach = max(0.5 * typical_range_m(self.settings), 0.5)
+        reach = min(max(0.5 * typical_range_m(self.settings), 0.5), 0.4 * self._lane_m)
         for ahead in (1, 0):
             corner = self._route[(at + ahead) % len(self._route)]
             if np.hypot(*(corner - here_m)) < reach:
@@ -117,10 +120,10 @@ class Patrol(PairPatrol):
 
 
 def lanes(settings: EngineSettings) -> FloatArray:
-    """(k, 2) corners of a closed route of parallel lanes, two typical ranges apart."""
+    """(k, 2) corners of a closed route of parallel lanes, at most two typical ranges apart."""
     grid, margin = settings.grid, settings.fence_margin_m
     width = 2.0 * typical_range_m(settings)
-    count = max(2, math.ceil(grid.size_east_m / width))
+    count = max(LEAST_LANES, math.ceil(grid.size_east_m / width))
     corners = []
     for lane in range(count):
         east = (lane + 0.5) / count * grid.size_east_m
