@@ -179,3 +179,24 @@ def test_a_transmission_waits_until_every_robots_place_is_known() -> None:
     (detection,) = tracks.advance(100)[0]
     assert detection.position_m.tolist() == [[5.0, 0.0], [5.0, 10.0]]
     assert detection.heard.tolist() == [True, False]
+
+
+def test_asked_again_within_a_period_it_goes_on_with_its_ring() -> None:
+    engine = settings(2, 2)
+    position = {
+        r: (float(e), float(n))
+        for team, at in zip(engine.teams, start(engine), strict=True)
+        for r, (e, n) in zip(team, at, strict=True)
+    }
+    planner, sure = DprwaPlanner(engine), belief(engine, (10.0, 10.0))
+    first = planner.plan(Situation(0, position, engine.teams, {}), sure)
+    later = planner.plan(Situation(60 * 10**9, position, engine.teams, {}), sure)
+    assert planner.period == 1
+    for robot, path in later.paths.items():
+        ahead = [(p.east_m, p.north_m) for p in first.paths[robot]]
+        assert [(p.east_m, p.north_m) for p in path] == ahead[len(ahead) - len(path) :]
+    end = 3000 * 10**9
+    waiting = planner.plan(Situation(end, position, engine.teams[:1], {engine.teams[1]: first}), sure)
+    assert set(waiting.paths.values()) == {()}, "it waits for the pair that is still on its way"
+    planner.plan(Situation(end, position, engine.teams, {}), sure)
+    assert planner.period == 2

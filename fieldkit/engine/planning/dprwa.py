@@ -10,6 +10,7 @@ splits into groups each get pairs by their summed weight, at least one, and virt
 """
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, squareform
@@ -53,16 +54,40 @@ class DprwaPlanner:
         self.settings, self.tau0_s, self.most_ridges, self.group_gap_m = settings, tau0_s, ridges, group_gap_m
         self.period = 0
         """Number of the planning period: plans made so far."""
+        self._ways: dict[str, tuple[NDArray[np.int64], FloatArray]] = {}
+        """When (k,) each robot is where (k, 2) in the present period."""
+        self._until_ns = 0
 
     def plan(self, situation: Situation, belief: Belief) -> Plan:
-        """Paths of one period; robots on a path cannot wait: who is near its place on the ring drives there slowly."""
-        paths: dict[str, tuple[Waypoint, ...]] = {}
+        """What is left of the present period, or the paths of a new one once it is over and all teams can be sent.
+
+        Robots on a path cannot wait: who is near its place on the ring drives there slowly. Who has come to the end
+        before the others stays.
+        """
+        due = {robot for team in situation.teams for robot in team}
+        if due <= self._ways.keys() and (situation.t_ns < self._until_ns or situation.busy):
+            return self._rest(situation, due)
         here = [np.array([situation.position_m[r] for r in team]) for team in situation.teams]
+        self._ways, self._until_ns = {}, situation.t_ns
         for members, period in self.periods(here, belief):
             for index, team in enumerate(members):
-                t, place = np.delete(period.t_s[index], 1), np.delete(period.place_m[index], 1, axis=0)
+                # Without the corner at which it would wait for the others.
+                t_ns = situation.t_ns + np.rint(np.delete(period.t_s[index], 1) * 1e9).astype(np.int64)
+                place = np.delete(period.place_m[index], 1, axis=0)
                 for k, robot in enumerate(situation.teams[team]):
-                    paths[robot] = _timed(t, place[:, k], self.settings.max_speed_m_s)
+                    self._ways[robot] = (t_ns, place[:, k])
+                self._until_ns = max(self._until_ns, int(t_ns[-1]))
+        return self._rest(situation, due)
+
+    def _rest(self, situation: Situation, due: set[str]) -> Plan:
+        """Paths along what is still to come of each robot's way."""
+        paths: dict[str, tuple[Waypoint, ...]] = {}
+        for robot in sorted(due):
+            t_ns, place = self._ways[robot]
+            left = t_ns > situation.t_ns
+            corners = np.concatenate([[situation.position_m[robot]], place[left]])
+            t_s = np.concatenate([[0.0], (t_ns[left] - situation.t_ns) * 1e-9])
+            paths[robot] = _timed(t_s, corners, self.settings.max_speed_m_s)
         return Plan(situation.t_ns, paths, dict.fromkeys(paths, "ring"))
 
     def periods(self, here_m: list[FloatArray], belief: Belief) -> list[tuple[list[int], Period]]:
