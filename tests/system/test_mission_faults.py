@@ -44,7 +44,12 @@ def test_an_unplugged_radio_and_a_lost_link_stop_neither_mission_nor_record(tmp_
     assert any(isinstance(e, ReceiverState) and e.robot == "r1" and not e.up for e in events)
     assert any(isinstance(e, VehicleState) and e.robot == "r3" and not e.link_up for e in events)
     allowed = [(number, c) for number, _, origin, c in recording.commands() if origin == "safety"]
-    held = min(number for number, c in allowed if isinstance(c, Hold) and c.robot == "r3")
+    lost = next(
+        number
+        for number, _, event in recording.events()
+        if isinstance(event, VehicleState) and event.robot == "r3" and not event.link_up
+    )
+    held = min(number for number, c in allowed if number >= lost and isinstance(c, Hold) and c.robot == "r3")
     assert not [c for number, c in allowed if number > held and isinstance(c, GoTo) and c.robot == "r3"]
     assert {c.robot for number, c in allowed if number > held and isinstance(c, GoTo)} >= {"r2", "r4"}
     assert [c for _, c in allowed if isinstance(c, Hold) and c.robot == "r1" and "radio" in c.reason]
