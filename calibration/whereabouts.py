@@ -53,7 +53,7 @@ class Whereabouts:
 
     async def _follow(self) -> None:
         stream: AsyncIterator[Pose | VehicleState]
-        stream = self.source.events() if isinstance(self.source, VehicleLink) else self.source.poses()
+        stream = self.source.poses() if isinstance(self.source, PositionSource) else self.source.events()
         async for event in stream:
             if isinstance(event, Pose) and event.robot == self.robot:
                 self.poses.append(event)
