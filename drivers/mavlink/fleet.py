@@ -20,6 +20,7 @@ from drivers.mavlink.orders import Orders
 from drivers.mavlink.plans import FENCE, KINDS, Inbox, PlanItem, PlanTalk, polygon_fence
 from drivers.mavlink.signing import Signer, read_key
 from drivers.mavlink.steered import RATES_HZ, Steered, interval, refuse_double, reposition
+from drivers.mavlink.tapped import TappedTransport
 from drivers.mavlink.transport import Peer, make_transport
 from drivers.mavlink.vehicle import Vehicle
 from drivers.options import checked
@@ -88,7 +89,8 @@ class MavlinkLink:
         self._parsers: dict[Peer, Parser] = {}
         self._commander = Commander(self._clock, self._own_id, self._send)
         self._orders = Orders(self._commander, self._clock, self._frame, self.beat, address)
-        self._transport = make_transport(address)
+        transport = make_transport(address)
+        self._transport = transport if around.tap is None else TappedTransport(transport, address, around.tap)
         self._is_open = False
         self._rival_s = -math.inf
         """When another ground station with our system id was last heard."""
