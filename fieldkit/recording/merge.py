@@ -23,6 +23,10 @@ from fieldkit.recording.writer import RecordingWriter
 
 TICK_S = 0.5
 SAME_FIELD = ("origin_lat_deg", "origin_lon_deg", "size_east_m", "size_north_m")
+AROUND_NS = 60_000_000_000
+"""Positions so long before and after the recordings still count."""
+PAUSE_NS = 600_000_000_000
+"""Where nothing is known for longer, the clock jumps instead of ticking."""
 NO_SHIFT = Offset(0.0, 0.0, 0, "given")
 
 
@@ -61,9 +65,10 @@ def merge(paths: list[Path], out: Path, *, given_s: dict[str, float] | None = No
     for other in recordings[1:]:
         offsets[str(other.path)] = _offset(first, other, events, given)
     frame = open_log(first.path).frame
+    heard = [event.t_ns + offsets[name].nanoseconds for name, these in events.items() for event in these]
     for path in tracks:
-        events[str(path)] = list(_poses(path, frame))
-        offsets[str(path)] = Offset(_given(path, given) or 0.0, 0.0, 0, "given")
+        offset = offsets[str(path)] = Offset(_given(path, given) or 0.0, 0.0, 0, "given")
+        events[str(path)] = _meanwhile(list(_poses(path, frame)), offset, heard, path)
     robots = _robots_once(events)
     shifted = [_shift(these, offsets[name].seconds) for name, these in events.items()]
     # Robots' own order of readings and poses is kept; between robots time decides.
@@ -146,6 +151,22 @@ def _poses(path: Path, frame: FieldFrame | None) -> Iterator[Pose]:
         yield Pose(spot.t_ns, name, east, north, up, spot.heading_deg, spot.sigma_m, path.suffix.lstrip("."))
 
 
+def _meanwhile(poses: list[Pose], offset: Offset, heard_ns: list[int], path: Path) -> list[Event]:
+    """The poses that fall into the time of the recordings, or just beside it. Raises `DataError` where none does."""
+    if not heard_ns or not poses:
+        return list(poses)
+    begin, end = min(heard_ns) - AROUND_NS, max(heard_ns) + AROUND_NS
+    inside: list[Event] = [pose for pose in poses if begin <= pose.t_ns + offset.nanoseconds <= end]
+    if not inside:
+        apart_s = (min(heard_ns) - poses[0].t_ns - offset.nanoseconds) * 1e-9
+        raise DataError(
+            f"{path}: none of its {len(poses)} positions is from the time of the recordings: it begins "
+            f"{abs(apart_s):,.0f} s {'before' if apart_s > 0 else 'after'} them. If only its clock is off, say by how "
+            f"much: --offset {path.name}=SECONDS"
+        )
+    return inside
+
+
 def _shift(events: list[Event], seconds: float) -> list[Event]:
     if seconds == 0.0:
         return events
@@ -158,7 +179,7 @@ def _with_ticks(events: Iterable[Event]) -> Iterator[Event]:
     t_ns = 0
     for event in events:
         t_ns = event.t_ns
-        next_ns = t_ns if next_ns is None else next_ns
+        next_ns = t_ns if next_ns is None or t_ns - next_ns > PAUSE_NS else next_ns
         while next_ns < t_ns:
             yield Tick(next_ns)
             next_ns += tick_ns

@@ -32,6 +32,11 @@ class Offset:
     by: str
     """`frames` (address and number), `rhythm`, or `given`."""
 
+    @property
+    def nanoseconds(self) -> int:
+        """`seconds` as times are counted."""
+        return round(self.seconds * 1e9)
+
 
 def estimate_offset(first: list[RssReading], second: list[RssReading]) -> Offset | None:
     """The offset of `second`'s clock against `first`'s; None where what both heard does not tell for sure."""

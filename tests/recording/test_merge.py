@@ -119,6 +119,21 @@ def test_a_telemetry_log_gives_poses_too(tmp_path):
     assert {(pose.heading_deg, pose.up_m) for pose in flown} == {(90.0, 2.0)}
 
 
+def test_positions_of_another_year_are_refused_and_those_long_before_are_left_out(tmp_path):
+    """A flight controller's clock may begin in 1970: tick by tick to there would take all memory."""
+    first = record(tmp_path / "r1.mcap", "r1", 0.0)
+    head = "time,east_m,north_m\n"
+    rows = "".join(f"{START_NS * 1e-9 + 1 + k},1.0,2.0\n" for k in range(3))
+    (tmp_path / "r9.csv").write_text(head + "1000.0,1.0,2.0\n")
+    with pytest.raises(DataError, match=r"before them.*--offset r9.csv=SECONDS"):
+        merge([first, tmp_path / "r9.csv"], tmp_path / "all.mcap")
+    assert not (tmp_path / "all.mcap").exists()
+    (tmp_path / "r8.csv").write_text(f"{head}{START_NS * 1e-9 - 90_000},1.0,2.0\n{rows}")
+    merge([first, tmp_path / "r8.csv"], tmp_path / "all.mcap")
+    poses = [e for _, _, e in open_recording(tmp_path / "all.mcap").events() if isinstance(e, Pose)]
+    assert sum(pose.robot == "r8" for pose in poses) == 3
+
+
 def test_a_recording_given_twice_is_refused(tmp_path):
     path = record(tmp_path / "r1.mcap", "r1", 0.0)
     with pytest.raises(DataError, match="is given twice"):
