@@ -167,10 +167,20 @@ def stone_soup(engine: EngineSettings) -> Method:
         detection: Detection
 
         def function(self, state: Any, noise: bool = False, **_: Any) -> Any:
-            raise NotImplementedError("only the likelihood is needed")
+            """(robots, states) mean readings in dBm, with noise if asked; a silent robot would read under threshold."""
+            x = np.asarray(state.state_vector, dtype=float)
+            mean = np.array([self.mean_dbm(x, place) for place in self.detection.position_m])
+            return StateVectors(mean + self.rvs(mean.size).reshape(mean.shape) if noise else mean)
 
         def rvs(self, num_samples: int = 1, **_: Any) -> Any:
-            raise NotImplementedError("only the likelihood is needed")
+            """(1, samples) of a reading's noise, in dB."""
+            return np.random.normal(0.0, radio.sigma_db, (1, num_samples))  # noqa: NPY002  as Stone Soup draws
+
+        @staticmethod
+        def mean_dbm(x: FloatArray, place: FloatArray) -> FloatArray:
+            """Mean reading at `place` of sources x (3, n): east, north, power."""
+            distance = np.maximum(np.hypot(x[0] - place[0], x[1] - place[1]), MIN_RANGE_M)
+            return np.asarray(radio.mean_rss_dbm(distance, x[2]))
 
         def pdf(self, state1: Any, state2: Any, **_: Any) -> Any:
             return np.exp(self.logpdf(state1, state2))
@@ -179,8 +189,7 @@ def stone_soup(engine: EngineSettings) -> Method:
             x = np.asarray(state2.state_vector, dtype=float)
             log = np.zeros(x.shape[1])
             for place, rss in zip(self.detection.position_m, self.detection.rss_dbm, strict=True):
-                distance = np.maximum(np.hypot(x[0] - place[0], x[1] - place[1]), MIN_RANGE_M)
-                mean = radio.power_at_1m_dbm + x[2] - 10.0 * radio.path_loss_exponent * np.log10(distance)
+                mean = self.mean_dbm(x, place)
                 if np.isnan(rss):
                     log += log_ndtr((radio.threshold_dbm + 0.5 - mean) / radio.sigma_db)
                 else:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from operator import itemgetter
 from typing import Any
 
+from fieldkit.clock import RealClock
 from fieldkit.messages import Tick
 from fieldkit.recording.reader import Recording
 from mission.page.server import Mailbox
@@ -78,7 +79,7 @@ class PastShow:
         if self._at_s[mailbox] >= self.duration_s - 1.0:
             self._seek(mailbox, 0.0)
         while self._at_s[mailbox] < self.duration_s:
-            await asyncio.sleep(PLAY_S)
+            await RealClock().sleep(PLAY_S)
             self._go_on(mailbox, min(self._at_s[mailbox] + rate * PLAY_S, self.duration_s))
 
     def _seek(self, mailbox: Mailbox, t_s: float) -> None:
