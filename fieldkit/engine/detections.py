@@ -167,8 +167,10 @@ class Associator:
         self._open = [g for g in self._open if g.t_ns + self._window_ns > horizon_ns]
         self._closed_ns = max(self._closed_ns, horizon_ns - self._window_ns)
         reach_ns = ASTRAY_WINDOWS * self._window_ns
-        self._closed = [g for g in self._closed if g.t_ns >= self._closed_ns - 2 * reach_ns] + ready
+        # Old ones go only afterwards: after a long time without a look, what closes now needs them still.
+        self._closed += ready
         detections = [detection for group in ready if (detection := self._detection(group)) is not None]
+        self._closed = [g for g in self._closed if g.t_ns >= self._closed_ns - 2 * reach_ns]
         return detections, self._listening(horizon_ns)
 
     def _is_up(self, robot: str, t_ns: int) -> bool:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 
@@ -86,6 +86,7 @@ def replicas(rule: str = "dirichlet") -> dict[str, Replica]:
 
 
 @budget(max_examples=12, deadline=None)
+@example(seed=462, loss=0.0, rule="dirichlet")  # looked at rarely, long after a neighbouring transmission
 @given(
     seed=st.integers(0, 1000),
     loss=st.sampled_from([0.0, 0.3, 0.6]),
