@@ -134,6 +134,9 @@ class Kernel:
         self._now_ns = 0
         self._errands: dict[tuple[str, ...], _Errand] = {}
         self._next_plan_ns: int | None = None
+        self._unplanned: set[tuple[str, ...]] = set()
+        """Teams that wait for a plan."""
+        self._planned_ns: dict[tuple[str, ...], int] = {}
         self._steered_ns: int | None = None
         self._commands_digest = hashlib.sha256()
         self._sources: list[SourceEstimate] | None = None
@@ -247,25 +250,36 @@ class Kernel:
         detections, stretches = self._due(now_ns, notes)
         for stretch in stretches:
             self.belief.listen(stretch)
-        for detection in detections:
-            self.belief.detect(detection)
         if detections:
+            self.belief.detect_all(detections)
             self.detections += len(detections)
             self._sources = None
         found_more = bool(detections) and self._note_finds(now_ns, notes)
         if reason := self._finished(now_ns, bool(detections)):
             ended = self._end(now_ns, reason)
             return Outcome(ended.commands, tuple(detections), None, (*notes, *ended.notes))
-        plan = None
-        commands: list[Command] = []
-        due = self._next_plan_ns is None or now_ns >= self._next_plan_ns or found_more
-        idle = tuple(team for team in teams if team not in self._errands)
-        if due or idle:
-            plan = self._plan(now_ns, teams if due else idle)
-            if due:
-                self._next_plan_ns = now_ns + round(self.settings.engine.planning_period_s * 1e9)
-        commands += self._follow(now_ns)
+        plan = self._plan(now_ns, self._to_plan(now_ns, teams, found_more))
+        commands = self._follow(now_ns)
         return Outcome(tuple(commands), tuple(detections), plan, tuple(notes))
+
+    def _to_plan(
+        self, now_ns: int, teams: tuple[tuple[str, ...], ...], found_more: bool
+    ) -> tuple[tuple[str, ...], ...]:
+        """Which teams to plan for at this tick.
+
+        A planner that goes team by team is asked for one a tick, the longest planned first: with many teams a plan for
+        all would keep the radios waiting.
+        """
+        if self._next_plan_ns is None or now_ns >= self._next_plan_ns or found_more:
+            self._next_plan_ns = now_ns + round(self.settings.engine.planning_period_s * 1e9)
+            self._unplanned = set(teams)
+        self._unplanned.update(team for team in teams if team not in self._errands)
+        waiting = sorted(self._unplanned.intersection(teams), key=lambda t: (self._planned_ns.get(t, 0), t))
+        if getattr(self.planner, "TEAM_BY_TEAM", False):
+            waiting = waiting[:1]
+        self._unplanned.difference_update(waiting)
+        self._planned_ns.update(dict.fromkeys(waiting, now_ns))
+        return tuple(waiting)
 
     def _due(self, now_ns: int, notes: list[str]) -> tuple[list[Detection], list[Listening]]:
         """What has become certain, no more at once than leaves time to steer; beyond a backlog the oldest are left."""

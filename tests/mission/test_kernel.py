@@ -28,10 +28,18 @@ def started(settings: KernelSettings, mode: str = "guided") -> Kernel:
     return kernel
 
 
-def test_the_first_tick_sends_every_team_off(settings: KernelSettings) -> None:
-    outcome = started(settings).step(Tick(0))
+def test_the_first_ticks_send_one_team_off_after_another(settings: KernelSettings) -> None:
+    kernel = started(settings)
+    for turn, team in enumerate(settings.engine.teams):
+        outcome = kernel.step(Tick(turn * S))
+        assert {c.robot for c in outcome.commands if isinstance(c, GoTo)} == set(team)
+        assert outcome.plan is not None and set(outcome.plan.paths) == set(team)
+    assert kernel.step(Tick(len(settings.engine.teams) * S)).plan is None
+
+
+def test_a_planner_for_all_is_asked_for_all_teams_at_once(settings: KernelSettings) -> None:
+    outcome = started(replace(settings, planner="pair-patrol")).step(Tick(0))
     assert {c.robot for c in outcome.commands if isinstance(c, GoTo)} == set(settings.engine.robots)
-    assert outcome.plan is not None
 
 
 def test_robots_that_are_not_ours_are_not_steered(settings: KernelSettings) -> None:
@@ -66,7 +74,7 @@ def test_the_next_leg_comes_when_the_team_has_arrived(settings: KernelSettings) 
     for robot in ("r1", "r2"):
         kernel.step(Pose(S, robot, first[robot].east_m, first[robot].north_m))
     second = {c.robot for c in kernel.step(Tick(S)).commands}
-    assert second == {"r1", "r2"}
+    assert second == {"r1", "r2", "r3", "r4"}  # and the other team's first
 
 
 def test_time_up_ends_the_mission_once(settings: KernelSettings) -> None:

@@ -32,7 +32,11 @@ class Situation:
 
 
 class Planner(Protocol):
-    """Decides where teams go. Deterministic given its own seeded generator."""
+    """Decides where teams go. Deterministic given its own seeded generator.
+
+    One whose class says `TEAM_BY_TEAM = True` plans for one team on what the others (`Situation.busy`) leave, and is
+    asked for one at a time; the others are asked for all together.
+    """
 
     def __init__(self, settings: EngineSettings) -> None: ...
 

@@ -20,7 +20,7 @@ from fieldkit.engine.belief.intensity import IntensityBelief, Unresolved
 from fieldkit.engine.planning.base import Situation, abreast, legs_within_range, track, waypoints
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
-from fieldkit.messages import FloatArray, Plan
+from fieldkit.messages import FloatArray, Plan, Waypoint
 
 HORIZON_PERIODS = 1.5
 GROUND_PATHS = 40
@@ -51,6 +51,8 @@ class _Option:
 class InfoGainPlanner:
     """See the module."""
 
+    TEAM_BY_TEAM = True
+
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self.grid = settings.grid
@@ -72,69 +74,91 @@ class InfoGainPlanner:
         unresolved = belief.unresolved(SAMPLES, self._rng)
         information = {u.ident: np.zeros(4) for u in unresolved}
         taken: list[FloatArray] = []
-        paths: dict[str, tuple] = {}
+
+        def ground_gain(route: FloatArray) -> float:
+            """Also leaves the path's own exposure in `scratch`."""
+            return kernels.path_ground_gain(
+                route,
+                STEP_S,
+                value,
+                planned_s,
+                self._block * self.grid.cell_m,
+                model.hear_known_mean,
+                model.step2_m2,
+                model.search_reach_m,
+                self.settings.reference_rate_hz,
+                scratch,
+            )
+
+        def learnt(route: FloatArray, candidate: Unresolved) -> FloatArray:
+            gained = np.empty(4)
+            kernels.path_information(
+                route, STEP_S, candidate.points_m, candidate.level, model.hear, model.step2_m2, MIN_RANGE_M, gained
+            )  # fmt: skip
+            return gained
+
+        def take(route: FloatArray) -> None:
+            """What a team does is left out of what the others gain."""
+            nonlocal planned_s, scratch
+            scratch = np.zeros(value.shape)
+            ground_gain(route)
+            planned_s = planned_s + scratch
+            for candidate in unresolved:
+                information[candidate.ident] = information[candidate.ident] + learnt(route, candidate)
+            taken.append(route)
+
+        for team, busy in situation.busy.items():
+            if all(robot in situation.position_m for robot in team):
+                take(self._underway(team, busy, situation, horizon_s))
+        paths: dict[str, tuple[Waypoint, ...]] = {}
         purpose: dict[str, str] = {}
         for team in situation.teams:
             start = np.array([situation.position_m[robot] for robot in team])
-            best, best_score, best_info = None, -math.inf, {}
+            best, best_score = None, -math.inf
             for option in self._options(
                 situation, team, start, belief, value, planned_s, unresolved, horizon_s
             ):
                 if any(not self._clear(option.track_m, other) for other in taken):
                     continue
-                score = kernels.path_ground_gain(
-                    option.track_m,
-                    STEP_S,
-                    value,
-                    planned_s,
-                    self._block * self.grid.cell_m,
-                    model.hear_known_mean,
-                    model.step2_m2,
-                    model.search_reach_m,
-                    self.settings.reference_rate_hz,
-                    scratch,
-                )
-                info: dict[int, FloatArray] = {}
+                score = ground_gain(option.track_m)
                 for candidate in unresolved:
-                    gained = np.empty(4)
-                    kernels.path_information(
-                        option.track_m,
-                        STEP_S,
-                        candidate.points_m,
-                        candidate.level,
-                        model.hear,
-                        model.step2_m2,
-                        MIN_RANGE_M,
-                        gained,
-                    )
+                    gained = learnt(option.track_m, candidate)
                     if gained[0] > 1e-3:
-                        info[candidate.ident] = gained
                         before = information[candidate.ident]
                         score += self._progress(candidate, before + gained) - self._progress(
                             candidate, before
                         )
                 if score > best_score:
-                    best, best_score, best_info = option, score, info
+                    best, best_score = option, score
             if best is None:  # boxed in by the others, or no battery left for any path: stay
                 for robot in team:
                     paths[robot], purpose[robot] = (), "wait"
                 taken.append(np.repeat(start[None], max(1, int(horizon_s / STEP_S)), axis=0))
                 continue
-            scratch = np.zeros(value.shape)
-            kernels.path_ground_gain(
-                best.track_m, STEP_S, value, planned_s, self._block * self.grid.cell_m, model.hear_known_mean,
-                model.step2_m2, model.search_reach_m, self.settings.reference_rate_hz, scratch,
-            )  # fmt: skip
-            planned_s += scratch
-            for ident, gained in best_info.items():
-                information[ident] = information[ident] + gained
-            taken.append(best.track_m)
+            take(best.track_m)
             self._last[team] = [tuple(place.mean(axis=0)) for place in best.places_m]
             for robot, path in zip(
                 team, waypoints(best.places_m, start, self.settings.max_speed_m_s), strict=True
             ):
                 paths[robot], purpose[robot] = path, best.purpose
         return Plan(situation.t_ns, paths, purpose)
+
+    def _underway(
+        self, team: tuple[str, ...], plan: Plan, situation: Situation, horizon_s: float
+    ) -> FloatArray:
+        """(steps, m, 2): where a team that goes on will be."""
+        start = np.array([situation.position_m[robot] for robot in team])
+        legs = max(len(plan.paths[robot]) for robot in team)
+        if legs == 0:
+            return np.repeat(start[None], max(1, int(horizon_s / STEP_S)), axis=0)
+        places = np.empty((legs, len(team), 2))
+        for slot, robot in enumerate(team):
+            path = [(w.east_m, w.north_m) for w in plan.paths[robot]]
+            path += [path[-1] if path else tuple(start[slot])] * (legs - len(path))
+            places[:, slot] = path
+        return track(
+            places, start, self.settings.max_speed_m_s, STEP_S, horizon_s, self.settings.max_turn_deg_s
+        )
 
     def _progress(self, candidate: Unresolved, gained: FloatArray) -> float:
         """Worth of what is known of a candidate after a path: (4,) exposure and information per unit rate."""
