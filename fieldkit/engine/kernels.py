@@ -5,11 +5,9 @@ heard nothing; `levels` (h,) are received powers at 1 m in dBm.
 """
 
 import math
-from typing import Any
 
 import numpy as np
-from numba import carray, njit, types
-from numba.extending import intrinsic
+from numba import njit
 from numpy.typing import NDArray
 
 from fieldkit.messages import FloatArray
@@ -94,206 +92,48 @@ def add_exposure(
     robots: FloatArray,
     hear: FloatArray,
     step2: float,
-    reach: float,
+    limit2: FloatArray,
     duration: float,
 ) -> None:
     """Add `duration` times P(some robot hears a source in the cell) to exposure (levels, n_north, n_east).
 
-    `hear` (levels, k) is the probability of one robot hearing at squared distance k * step2.
+    `hear` (levels, k) is the probability of one robot hearing at squared distance k * step2; beyond the squared
+    distance `limit2` (levels,) nothing is added.
     """
     n_levels, rows, columns = exposure.shape
     m = robots.shape[0]
     last = hear.shape[1] - 1
-    row0 = max(0, int(math.floor((robots[:, 1].min() - reach) / cell)))
-    row1 = min(rows, int(math.floor((robots[:, 1].max() + reach) / cell)) + 1)
-    column0 = max(0, int(math.floor((robots[:, 0].min() - reach) / cell)))
-    column1 = min(columns, int(math.floor((robots[:, 0].max() + reach) / cell)) + 1)
-    if column1 <= column0:
-        return
-    # Where each cell of a row stands in the table is the same for all levels: found once, then level by level.
-    at = np.empty((m, column1 - column0), dtype=np.int64)
-    silent = np.empty(column1 - column0)
+    per_step2 = 1.0 / step2
+    widest = math.sqrt(limit2.max())
+    row0 = max(0, int(math.floor((robots[:, 1].min() - widest) / cell)))
+    row1 = min(rows, int(math.floor((robots[:, 1].max() + widest) / cell)) + 1)
+    # Where a cell stands in the table is the same for all levels: found once a row and robot.
+    at = np.empty((m, columns), dtype=np.int32)
+    silent = np.empty(columns)
     for r in range(row0, row1):
         north = (r + 0.5) * cell
         for q in range(m):
             dn2 = (north - robots[q, 1]) ** 2
-            for c in range(column0, column1):
+            for c in range(columns):
                 de = (c + 0.5) * cell - robots[q, 0]
-                at[q, c - column0] = min(int((de * de + dn2) / step2), last)
+                at[q, c] = min(int((de * de + dn2) * per_step2), last)
         for h in range(n_levels):
             table = hear[h]
+            left, right = columns, 0
             silent[:] = 1.0
             for q in range(m):
-                for c in range(column1 - column0):
-                    silent[c] *= 1.0 - table[at[q, c]]
-            for c in range(column1 - column0):
-                exposure[h, r, column0 + c] += duration * (1.0 - silent[c])
-
-
-@njit(cache=True, nogil=True)
-def leave_one_out(loglik: FloatArray, logpost: FloatArray, active: IntArray, weight: float) -> float:
-    """log of the predictive probability of one detection under a source that may already count it.
-
-    `loglik` and `logpost` are flat over (hypothesis, point); `logpost` includes `weight` times this detection.
-    Only the entries `active` count; those 20 nats under the best are skipped.
-    """
-    best = -1e300
-    for i in active:
-        rest = logpost[i] - weight * loglik[i]
-        if rest > best:
-            best = rest
-    total = 0.0
-    total_with = 0.0
-    for i in active:
-        rest = logpost[i] - weight * loglik[i] - best
-        if rest > -20.0:
-            p = math.exp(rest)
-            total += p
-            total_with += p * math.exp(loglik[i])
-    return math.log(max(total_with, 1e-300)) - math.log(total)
-
-
-def address(array: FloatArray) -> int:
-    """Where a C-contiguous array begins in memory: for kernels that take many arrays of unlike sizes at once.
-
-    Good for one call, while the array is held: ask again for the next.
-    """
-    return int(array.__array_interface__["data"][0])
-
-
-def _pointer_of(typing_context: Any, address: Any) -> Any:
-    """An address as a pointer to float64, for `carray`."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
-
-    return types.CPointer(types.float64)(address), generate
-
-
-_as_pointer: Any = intrinsic(_pointer_of)
-
-
-@njit(cache=True, nogil=True)
-def share_out(
-    rows: IntArray,
-    share: FloatArray,
-    active: IntArray,
-    start: IntArray,
-    post: FloatArray,
-    log_exposure: FloatArray,
-    receptions: FloatArray,
-    mean_exposure: FloatArray,
-    rate_shape: float,
-    rate_prior: float,
-    log_unknown: FloatArray,
-    log_clutter: FloatArray,
-    skip_settled: bool,
-    unclaimed: FloatArray,
-    explained: FloatArray,
-) -> None:
-    """Share each detection out among the candidates that know it, the unknown and clutter, one after another.
-
-    `rows` (k, c) is the address of candidate c's log-likelihoods of detection k (float64, over its entries), or 0;
-    `share` (k, c), `post`, `receptions` (c,), `unclaimed` and `explained` (k,) are brought up to date. `active`
-    lists the entries of candidate c that count, from `start[c]`; `post` and `log_exposure` stand beside it.
-
-    What a candidate predicts leaves the detection itself out: its posterior without its share of it.
-    """
-    k_all, c_all = rows.shape
-    terms = np.empty(c_all + 2)
-    for k in range(k_all):
-        near = 0
-        settled = False
-        for c in range(c_all):
-            if rows[k, c] != 0:
-                near += 1
-                settled = settled or share[k, c] > 0.999
-        if near == 0:
-            unclaimed[k] = 1.0
-            explained[k] = log_clutter[k]
-            continue
-        if settled and skip_settled:
-            continue
-        terms[0] = log_unknown[k]
-        terms[1] = log_clutter[k]
-        top = max(terms[0], terms[1])
-        top_known = terms[1]
-        for c in range(c_all):
-            if rows[k, c] == 0:
-                continue
-            log_like = carray(_as_pointer(rows[k, c]), (active[start[c + 1] - 1] + 1,))
-            weight = share[k, c]
-            best = -1e300
-            for a in range(start[c], start[c + 1]):
-                rest = post[a] - weight * log_like[active[a]]
-                if rest > best:
-                    best = rest
-            total = 0.0
-            total_with = 0.0
-            for a in range(start[c], start[c + 1]):
-                like = log_like[active[a]]
-                rest = post[a] - weight * like - best
-                if rest > -20.0:
-                    p = math.exp(rest)
-                    total += p
-                    total_with += p * math.exp(like)
-            rate = (rate_shape + max(0.0, receptions[c] - weight)) / (rate_prior + mean_exposure[c])
-            terms[c + 2] = math.log(rate) + math.log(max(total_with, 1e-300)) - math.log(total)
-            top = max(top, terms[c + 2])
-            top_known = max(top_known, terms[c + 2])
-        all_ways = math.exp(terms[0] - top) + math.exp(terms[1] - top)
-        known_ways = math.exp(terms[1] - top_known)
-        for c in range(c_all):
-            if rows[k, c] != 0:
-                all_ways += math.exp(terms[c + 2] - top)
-                known_ways += math.exp(terms[c + 2] - top_known)
-        unclaimed[k] = math.exp(terms[0] - top) / all_ways
-        explained[k] = top_known + math.log(known_ways)
-        for c in range(c_all):
-            if rows[k, c] == 0:
-                continue
-            new = math.exp(terms[c + 2] - top) / all_ways
-            change = new - share[k, c]
-            share[k, c] = new
-            receptions[c] += change
-            if abs(change) > 1e-12:
-                log_like = carray(_as_pointer(rows[k, c]), (active[start[c + 1] - 1] + 1,))
-                for a in range(start[c], start[c + 1]):
-                    post[a] += change * (log_like[active[a]] - log_exposure[a])
-
-
-@njit(cache=True, nogil=True)
-def another_source_llr(
-    rows: IntArray,
-    box: IntArray,
-    factor: FloatArray,
-    exposure: FloatArray,
-    rate: float,
-    out: FloatArray,
-) -> None:
-    """out (levels, n_north, n_east): log likelihood ratio of one more source of that power in the cell, over none.
-
-    -rate * exposure + sum over detections of log(1 + factor * L), the Poisson process likelihood ratio, where
-    `factor` (k,) is the rate over the intensity that already explains detection k. Its L, at most 1, stands at the
-    address `rows[k]`: (levels, cells of its box (row0, row1, column0, column1) row by row), float64.
-    """
-    levels, n_north, n_east = exposure.shape
-    for h in range(levels):
-        for r in range(n_north):
-            for c in range(n_east):
-                out[h, r, c] = -rate * exposure[h, r, c]
-        for k in range(rows.shape[0]):
-            if factor[k] < 1e-9:  # at most 1e-9 nats a detection
-                continue
-            cells = (box[k, 1] - box[k, 0]) * (box[k, 3] - box[k, 2])
-            like = carray(_as_pointer(rows[k]), (levels * cells,))
-            at = h * cells
-            for r in range(box[k, 0], box[k, 1]):
-                for c in range(box[k, 2], box[k, 3]):
-                    x = factor[k] * like[at]
-                    # Most cells have nothing to say of most detections: the series is right to 1e-13 there.
-                    out[h, r, c] += x - 0.5 * x * x if x < 1e-4 else math.log1p(x)
-                    at += 1
+                room2 = limit2[h] - (north - robots[q, 1]) ** 2
+                if room2 <= 0.0:
+                    continue
+                half = math.sqrt(room2)
+                column0 = max(0, int(math.floor((robots[q, 0] - half) / cell)))
+                column1 = min(columns, int(math.floor((robots[q, 0] + half) / cell)) + 1)
+                left, right = min(left, column0), max(right, column1)
+                index = at[q]
+                for c in range(column0, column1):
+                    silent[c] *= 1.0 - table[index[c]]
+            for c in range(left, right):
+                exposure[h, r, c] += duration * (1.0 - silent[c])
 
 
 @njit(cache=True, nogil=True)

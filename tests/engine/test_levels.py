@@ -96,7 +96,7 @@ def test_exposure_kernel_agrees_with_a_plain_twin() -> None:
     model = LevelsModel(ANTENNA, LEVELS, 0.05)
     robots = np.array([[1.0, 2.0], [3.0, 2.5]])
     exposure = np.zeros((model.level_dbm.size, 20, 30))
-    kernels.add_exposure(exposure, 0.2, robots, model.hear, model.step2_m2, model.reach_outside_m, 2.0)
+    kernels.add_exposure(exposure, 0.2, robots, model.hear, model.step2_m2, model.limit2_m2, 2.0)
     north, east = np.meshgrid((np.arange(20) + 0.5) * 0.2, (np.arange(30) + 0.5) * 0.2, indexing="ij")
     silent = np.ones_like(exposure)
     for place in robots:

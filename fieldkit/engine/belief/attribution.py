@@ -8,8 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fieldkit.engine import kernels
+from fieldkit.engine import mixture_kernels as kernels
 from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, active_entries
 from fieldkit.messages import FloatArray
 
@@ -43,31 +44,19 @@ def share_out(
     `mean_exposure_s` gives (candidates,) as it is before each pass. All passes but the last leave alone what one
     candidate claims beyond doubt.
     """
-    k, c = len(numbers), len(candidates)
-    rows = np.zeros((k, c), dtype=np.int64)
-    share = np.zeros((k, c))
-    for column, candidate in enumerate(candidates):
-        for index, number in enumerate(numbers):
-            log_like = candidate.logs.get(number)
-            if log_like is not None:
-                rows[index, column] = kernels.address(log_like)
-                share[index, column] = candidate.share[number]
+    rows, share = known_shares(candidates, numbers)
+    whole = np.ones(len(numbers))
     for turn in range(passes):
-        active, post, log_exposure = [np.empty(0, dtype=np.int64)], [np.empty(0)], [np.empty(0)]
-        for candidate in candidates:
-            log = candidate.log_posterior().ravel()
-            keep = active_entries(log)
-            active.append(keep)
-            post.append(log[keep])
-            log_exposure.append(candidate.log_exposure.ravel()[keep])
+        active, start, post, log_exposure = entries_that_count(candidates)
         before = share.copy()
         kernels.share_out(
             rows,
             share,
-            np.concatenate(active),
-            np.cumsum([keep.size for keep in active]),
-            np.concatenate(post),
-            np.concatenate(log_exposure),
+            whole,
+            active,
+            start,
+            post,
+            log_exposure,
             np.array([candidate.receptions for candidate in candidates]),
             mean_exposure_s(),
             RATE_SHAPE,
@@ -78,7 +67,42 @@ def share_out(
             left.unclaimed,
             left.explained,
         )
-        moved = np.abs(share - before) > MOVED
-        for index, column in np.argwhere(moved):
-            candidates[column].set_share(numbers[index], float(share[index, column]))
-        share = np.where(moved, share, before)
+        share = take_over(candidates, numbers, before, share)
+
+
+def known_shares(candidates: list[Candidate], numbers: list[int]) -> tuple[NDArray[np.int64], FloatArray]:
+    """(k, c) addresses of the log-likelihoods, 0 where a candidate does not know a detection; (k, c) shares."""
+    shape = (len(candidates), len(numbers))
+    rows = [[candidate.address.get(number, 0) for number in numbers] for candidate in candidates]
+    share = [[candidate.share.get(number, 0.0) for number in numbers] for candidate in candidates]
+    return (
+        np.ascontiguousarray(np.array(rows, dtype=np.int64).reshape(shape).T),
+        np.ascontiguousarray(np.array(share, dtype=float).reshape(shape).T),
+    )
+
+
+def entries_that_count(
+    candidates: list[Candidate],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
+    """The active entries of all candidates, one after another, where each one's begin; log posterior and exposure."""
+    active, post, log_exposure = [np.empty(0, dtype=np.int64)], [np.empty(0)], [np.empty(0)]
+    for candidate in candidates:
+        log = candidate.log_posterior().ravel()
+        keep = active_entries(log)
+        active.append(keep)
+        post.append(log[keep])
+        log_exposure.append(candidate.log_exposure.ravel()[keep])
+    start = np.cumsum([keep.size for keep in active])
+    return np.concatenate(active), start, np.concatenate(post), np.concatenate(log_exposure)
+
+
+def take_over(
+    candidates: list[Candidate], numbers: list[int], before: FloatArray, share: FloatArray
+) -> FloatArray:
+    """Have the candidates claim `share` (k, c) where it has moved; (k, c) as they claim now."""
+    moved = np.abs(share - before) > MOVED
+    for column, candidate in enumerate(candidates):
+        changed = np.flatnonzero(moved[:, column])
+        if changed.size:
+            candidate.set_shares([numbers[index] for index in changed], share[changed, column].tolist())
+    return np.where(moved, share, before)

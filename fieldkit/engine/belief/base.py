@@ -1,5 +1,6 @@
 """What every belief offers to the kernel, the planners and the viewers."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from fieldkit.engine.settings import EngineSettings
@@ -13,6 +14,10 @@ class Belief(Protocol):
 
     def detect(self, detection: Detection) -> None:
         """Take in one transmission heard by at least one robot."""
+        ...
+
+    def detect_all(self, detections: Sequence[Detection]) -> None:
+        """Take in several, which a belief may do with one look at them all."""
         ...
 
     def listen(self, listening: Listening) -> None:

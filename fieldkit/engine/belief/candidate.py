@@ -5,19 +5,23 @@ integrated out: with prior Gamma(a, b) and exposure E, n receptions weigh (b + E
 become impossible are dropped, so a candidate that sharpens becomes cheap.
 """
 
+import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from fieldkit.engine import kernels
+from fieldkit.engine import mixture_kernels as kernels
 from fieldkit.messages import FloatArray
 
 RATE_SHAPE = 1.0
 """a of the Gamma prior of a source's rate: its mean is the reference rate, its spread is as wide."""
 NEGLIGIBLE_NATS = 20.0
+FEWEST_POINTS = 12
+"""So many points are kept, however certain the place."""
 ACTIVE_NATS = 40.0
 """A detection may lower an entry by this much and still have it count when it is left out."""
 
@@ -63,6 +67,8 @@ class Candidate:
     """(h, n) sum of share times log-likelihood."""
     logs: dict[int, FloatArray] = field(default_factory=dict)
     """Detection number to its log-likelihood over the cloud, for all detections that may be this source's."""
+    address: dict[int, int] = field(default_factory=dict)
+    """Where those begin in memory."""
     share: dict[int, float] = field(default_factory=dict)
     """Detection number to the probability that this source sent it."""
     absorbed: float = 0.0
@@ -75,12 +81,23 @@ class Candidate:
 
     def __post_init__(self) -> None:
         self.evidence = np.zeros_like(self.log_prior)
+        self._receptions: float | None = None
         self.expose(self.exposure_s)
+
+    def copy(self) -> "Candidate":
+        """Another that shares the arrays but claims for itself."""
+        other = copy.copy(self)
+        other.logs, other.address, other.share = dict(self.logs), dict(self.address), dict(self.share)
+        other.evidence = self.evidence.copy()
+        return other
 
     @property
     def receptions(self) -> float:
-        # Python's own sum rounds differently from 3.12 on; a replay must not.
-        return self.absorbed + math.fsum(self.share.values())
+        """Expected number of receptions it has sent."""
+        if self._receptions is None:
+            # Python's own sum rounds differently from 3.12 on; a replay must not.
+            self._receptions = self.absorbed + math.fsum(self.share.values())
+        return self._receptions
 
     def log_posterior(self) -> FloatArray:
         """(h, n), not normalised."""
@@ -106,23 +123,24 @@ class Candidate:
     def know(self, number: int, log_likelihood: FloatArray) -> None:
         """Have a detection at hand that this source may have sent; its share is 0 until claimed."""
         self.logs[number] = np.ascontiguousarray(log_likelihood)
+        self.address[number] = kernels.address(self.logs[number])
         self.share.setdefault(number, 0.0)
 
     def set_share(self, number: int, share: float) -> None:
         """Claim a detection with this probability."""
         self.evidence += (share - self.share[number]) * self.logs[number]
         self.share[number] = share
+        self._receptions = None
 
-    def log_predictive(self, number: int, log_posterior: FloatArray, active: NDArray[np.intp]) -> float:
-        """log p(detection | this source sent it), from what the OTHER detections say of the source.
-
-        `active` lists the flat entries of `log_posterior` that count.
-        """
-        return float(
-            kernels.leave_one_out(
-                self.logs[number].ravel(), log_posterior.ravel(), active, self.share[number]
-            )
+    def set_shares(self, numbers: Sequence[int], shares: Sequence[float]) -> None:
+        """Claim each of several detections with its probability, at once."""
+        kernels.add_rows(
+            np.array([self.address[number] for number in numbers], dtype=np.int64),
+            np.array([share - self.share[number] for number, share in zip(numbers, shares, strict=True)]),
+            self.evidence.reshape(-1),
         )
+        self.share.update(zip(numbers, shares, strict=True))
+        self._receptions = None
 
     def mean_exposure_s(self, posterior: FloatArray) -> float:
         return float((posterior * self.exposure_s).sum())
@@ -132,19 +150,24 @@ class Candidate:
         log = self.log_posterior()
         best = log.max(axis=0)
         keep = best > best.max() - NEGLIGIBLE_NATS
-        if keep.sum() > 0.8 * keep.size or keep.sum() < 12:
+        if keep.sum() < FEWEST_POINTS < keep.size:
+            keep[np.argpartition(best, -FEWEST_POINTS)[-FEWEST_POINTS:]] = True
+        if keep.sum() > 0.8 * keep.size:
             return
         self.points_m = np.ascontiguousarray(self.points_m[keep])
         self.log_prior = np.ascontiguousarray(self.log_prior[:, keep])
         self.expose(np.ascontiguousarray(self.exposure_s[:, keep]))
         self.evidence = np.ascontiguousarray(self.evidence[:, keep])
-        self.logs = {number: np.ascontiguousarray(log[:, keep]) for number, log in self.logs.items()}
+        for number, log in self.logs.items():
+            self.logs[number] = np.ascontiguousarray(log[:, keep])
+            self.address[number] = kernels.address(self.logs[number])
 
     def forget(self, number: int) -> None:
         """Fold a detection into the evidence for good: its share is final."""
         if number in self.logs:
             self.absorbed += self.share.pop(number)
-            del self.logs[number]
+            del self.logs[number], self.address[number]
+            self._receptions = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,10 +222,8 @@ def merged_gain(first: Candidate, second: Candidate) -> float:
         both = np.array([share, first.share[number]])
         parts = both / both.sum()
         apart -= float(both.sum() * (parts * np.log(np.maximum(parts, 1e-12))).sum())
-    before = dict(first.share)
-    evidence = first.evidence.copy()
-    for number, share in claimed.items():
-        first.set_share(number, min(1.0, first.share[number] + share))
-    together = first.log_evidence()
-    first.share, first.evidence = before, evidence
-    return together - apart
+    both_sent = first.copy()
+    both_sent.set_shares(
+        list(claimed), [min(1.0, first.share[number] + share) for number, share in claimed.items()]
+    )
+    return both_sent.log_evidence() - apart

@@ -6,6 +6,7 @@ in units of the weakest that is heard. Packets are rare here, so collisions get 
 """
 
 import hashlib
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -58,6 +59,11 @@ class CsmaBelief:
         place = self.filter.most_probable(self.grid.cell_m)
         if self.filter.probability_near(place, self.grid.cell_m) >= self.settings.found_probability:
             self.filter.identify(place)
+
+    def detect_all(self, detections: Sequence[Detection]) -> None:
+        """Take in several, one after another."""
+        for detection in detections:
+            self.detect(detection)
 
     def listen(self, listening: Listening) -> None:
         """Silence says nothing in this belief."""

@@ -7,6 +7,7 @@ is still there, unheard after exposure E, with weight (b / (b + E))^a.
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,7 +71,11 @@ class IntensityBelief:
 
     def detect(self, detection: Detection) -> None:
         """Take in a transmission, and judge the candidates anew."""
-        self.mixture.detect(detection)
+        self.detect_all((detection,))
+
+    def detect_all(self, detections: Sequence[Detection]) -> None:
+        """The same for several at once: one look at who sent what."""
+        self.mixture.detect(detections)
         self._judge()
 
     def _judge(self) -> None:
@@ -133,18 +138,19 @@ class IntensityBelief:
         """Mean squared standardised residual of the readings it claims, at the most probable place and power."""
         log = candidate.log_posterior()[:-1]
         level, index = np.unravel_index(int(np.argmax(log)), log.shape)
-        place = candidate.points_m[index]
-        squares: list[float] = []
-        for number, share in candidate.share.items():
-            if share < 0.5:
-                continue
-            detection = self.mixture.open[number].detection
-            use = detection.heard & ~detection.saturated
-            distance = np.hypot(*(detection.position_m[use] - place).T)
-            mean = self.settings.antenna.mean_rss_dbm(distance, self.model.power_db[level])
-            residual = (detection.rss_dbm[use] - mean) / self.model.spread_db(distance)
-            squares.extend(np.minimum(residual**2, 12.0))  # one outlier is no misfit
-        return (float(np.mean(squares)), len(squares)) if squares else (0.0, 0)
+        claimed = [self.mixture.open[number] for number, share in candidate.share.items() if share >= 0.5]
+        if not claimed:
+            return 0.0, 0
+        position = np.concatenate([stored.near_m for stored in claimed])
+        rss = np.concatenate([stored.rss_dbm for stored in claimed])
+        distance = np.hypot(*(position - candidate.points_m[index]).T)
+        mean = self.settings.antenna.mean_rss_dbm(distance, self.model.power_db[level])
+        squares = ((rss - mean) / self.model.spread_db(distance)) ** 2
+        use = ~np.isnan(rss)
+        count = int(use.sum())
+        return (
+            float(np.minimum(squares[use], 12.0).mean()) if count else 0.0
+        ), count  # one outlier is no misfit
 
     def sources(self) -> list[SourceEstimate]:
         """Candidates with at least one reception, by identity."""

@@ -6,11 +6,12 @@ detections better than those there are; two become one where one explains better
 supports any more is dropped. `stories` re-tells the history of a candidate that may be stuck.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from fieldkit.engine import kernels
+from fieldkit.engine import kernels, mixture_kernels
 from fieldkit.engine.belief import stories
 from fieldkit.engine.belief.attribution import Shares, share_out
 from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, Summary, merged_gain, summarise
@@ -47,6 +48,11 @@ class OpenDetection:
     """log intensity with which noise explains it: any strength within 80 dB."""
     near_m: FloatArray
     """(k, 2) where it was heard."""
+    rss_dbm: FloatArray
+    """(k,) how strongly; nan where at the receiver's ceiling."""
+    address: int
+    mean_address: int
+    """Where `like` and `mean_like` begin in memory."""
 
 
 class Mixture:
@@ -84,24 +90,18 @@ class Mixture:
             listening.position_m,
             self.model.hear,
             self.model.step2_m2,
-            self.model.reach_outside_m,
+            self.model.limit2_m2,
             listening.duration_s,
         )
 
-    def detect(self, detection: Detection) -> None:
-        """Take in a transmission: attribute it, and look again at the attribution of the others near it."""
-        number = self._next_detection
-        self._next_detection += 1
-        stored = self._store(detection)
-        self.open[number] = stored
-        self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
-        for candidate in self.candidates:
-            if self.in_reach(candidate, stored):
-                candidate.know(number, self.model.log_likelihood(detection, candidate.points_m))
+    def detect(self, detections: Sequence[Detection]) -> None:
+        """Take in transmissions: attribute them, and look again at the attribution of the others near them."""
+        for detection in detections:
+            self._open(detection)
         for candidate in self.candidates:
             candidate.expose(self.exposure_at(candidate.points_m))
         self.sweep(SWEEPS)
-        for _ in range(2):
+        for _ in range(1 + len(detections)):
             if not self._birth():
                 break
             self.sweep(SWEEPS)
@@ -111,13 +111,24 @@ class Mixture:
             self._settle()
         self._fold()
 
+    def _open(self, detection: Detection) -> None:
+        number = self._next_detection
+        self._next_detection += 1
+        stored = self._store(detection)
+        self.open[number] = stored
+        self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
+        for candidate in self.candidates:
+            if self.in_reach(candidate, stored):
+                candidate.know(number, self.model.log_likelihood(detection, candidate.points_m))
+
     def next_ident(self) -> int:
         """An identity no candidate has had."""
         self._next_ident += 1
         return self._next_ident - 1
 
     def _settle(self) -> None:
-        self._merge()
+        if self._merge():
+            self.sweep(1)
         self._bury()
 
     def _store(self, detection: Detection) -> OpenDetection:
@@ -130,7 +141,18 @@ class Mixture:
         like = np.exp(log - scale)
         clutter = float(np.log(CLUTTER_HZ) - len(heard_at) * np.log(80.0))
         mean = like.mean(axis=0).reshape(north.size, east.size)
-        return OpenDetection(detection, (row0, row1, column0, column1), like, mean, scale, clutter, heard_at)
+        return OpenDetection(
+            detection,
+            (row0, row1, column0, column1),
+            like,
+            mean,
+            scale,
+            clutter,
+            heard_at,
+            np.where(detection.saturated, np.nan, detection.rss_dbm)[detection.heard],
+            mixture_kernels.address(like),
+            mixture_kernels.address(mean),
+        )
 
     def in_reach(self, candidate: Candidate, stored: OpenDetection) -> bool:
         """Whether the candidate may have been what was heard, by distance alone."""
@@ -158,13 +180,15 @@ class Mixture:
 
     def _log_unknown(self) -> FloatArray:
         """(open detections,) log intensity with which sources not yet known explain each."""
-        unknown_rate = self.unknown_rate()
-        logs = np.empty(len(self.open))
-        for index, stored in enumerate(self.open.values()):
-            row0, row1, column0, column1 = stored.box
-            total = float((unknown_rate[row0:row1, column0:column1] * stored.mean_like).sum())
-            logs[index] = np.log(total + 1e-300) + stored.log_scale
-        return logs
+        stored = self.open.values()
+        logs = np.empty(len(stored))
+        mixture_kernels.log_expected(
+            np.array([s.mean_address for s in stored], dtype=np.int64),
+            np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
+            self.unknown_rate(),
+            logs,
+        )
+        return logs + np.array([s.log_scale for s in stored])
 
     def sweep(self, sweeps: int) -> None:
         """Shares of all open detections, from the predictions of the candidates and of the unknown.
@@ -220,8 +244,8 @@ class Mixture:
         ratio = np.empty((self.model.n_known, *self.grid.shape))
         stored = self.open.values()
         scale = np.array([s.log_scale for s in stored]) - np.array([self.explained[k] for k in self.open])
-        kernels.another_source_llr(
-            np.array([kernels.address(s.like) for s in stored], dtype=np.int64),
+        mixture_kernels.another_source_llr(
+            np.array([s.address for s in stored], dtype=np.int64),
             np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
             self.settings.reference_rate_hz * np.exp(scale),
             self.known_exposure_s(),
@@ -306,9 +330,9 @@ class Mixture:
             candidate.know(number, log)
             candidate.evidence += share * log
 
-    def _merge(self) -> None:
-        """Let one candidate speak for two where that explains better what both sent."""
-        done = False
+    def _merge(self) -> bool:
+        """Let one candidate speak for two where that explains better what both sent; whether any does."""
+        done = merged = False
         while not done:
             done = True
             for first in self.candidates:
@@ -326,12 +350,11 @@ class Mixture:
                                 keep.set_share(number, min(1.0, keep.share[number] + share))
                         self.remove(drop)
                         self._summaries.pop(keep.ident, None)
-                        done = False
+                        done, merged = False, True
                         break
                 if not done:
                     break
-        if self.candidates:
-            self.sweep(1)
+        return merged
 
     def _close(self, first: Candidate, second: Candidate) -> bool:
         a, b = self.summary(first), self.summary(second)

@@ -15,7 +15,7 @@ Silence is not evidence here: that is what the intensity belief adds.
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import ndimage
@@ -124,6 +124,11 @@ class SpogBelief:
             self._settled_p1 = self._settled_p1 + share.sum(axis=0)
             self._likelihoods[: self._stored - half] = self._likelihoods[half : self._stored].copy()
             self._stored -= half
+
+    def detect_all(self, detections: Sequence[Detection]) -> None:
+        """Take in several, one after another."""
+        for detection in detections:
+            self.detect(detection)
 
     def listen(self, listening: Listening) -> None:
         """Silence says nothing in this belief."""

@@ -4,14 +4,15 @@ Points dropped early and shares that vouch for each other can hold a candidate i
 sources together: sweeps alone do not get out of that.
 """
 
-import copy
 import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, Rival, active_entries, log_sum
+from fieldkit.engine import mixture_kernels
+from fieldkit.engine.belief.attribution import entries_that_count, known_shares, take_over
+from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate, Rival
 from fieldkit.messages import FloatArray
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ UNDECIDED_NATS = -3.0
 """Evidence of the best story of two over that of one from which on somebody has to go and see."""
 PLACE_ROUNDS = 6
 """Turns in which one of two places is chosen anew given the other."""
+PLACE_DETECTIONS = 60
+"""So many detections, at most, choose the places."""
 BETTER_NATS = 1.0
 """Evidence by which another story must be better."""
 
@@ -44,9 +47,8 @@ def revise(mixture: "Mixture") -> bool:
         mixture.revise_at[candidate.ident] = max(count + 0.9, (1.1 if doubtful else 1.4) * count)
         share = {number: share for number, share in candidate.share.items() if share > 0.05}
         blank = _fresh(mixture, candidate, share, spacing=1.0)
-        single = _alike(blank)
-        for number, part in share.items():
-            single.set_share(number, part)
+        single = blank.copy()
+        single.set_shares(list(share), list(share.values()))
         pairs = _two(mixture, blank, share)
         scores = [_score(pair, share) for pair in pairs]
         odds_nats = max(scores, default=-np.inf) - _score([single], share)
@@ -103,17 +105,9 @@ def _retold(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -
     """A new candidate, on the usual points, that claims these shares."""
     claimed = {number: part for number, part in share.items() if part > 0.0}
     fresh = _fresh(mixture, candidate, claimed, spacing=1.0)
-    for number, part in claimed.items():
-        fresh.set_share(number, part)
+    fresh.set_shares(list(claimed), list(claimed.values()))
     fresh.prune()
     return fresh
-
-
-def _alike(blank: Candidate) -> Candidate:
-    """A copy of an empty candidate that shares its arrays but claims for itself."""
-    other = copy.copy(blank)
-    other.logs, other.share, other.evidence = dict(blank.logs), dict(blank.share), blank.evidence.copy()
-    return other
 
 
 def _two(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> list[list[Candidate]]:
@@ -143,47 +137,50 @@ def _best_two_places(mixture: "Mixture", blank: Candidate, share: dict[int, floa
     known = mixture.model.n_known
     logs = np.array([blank.logs[number][:known].ravel() for number in share])
     weight = np.array(list(share.values()))
-    like = np.exp(logs - logs.max(axis=1, keepdims=True)) + 1e-12
-    first = second = int(np.argmax(weight @ np.log(like)))
+    every = -(-len(share) // PLACE_DETECTIONS)
+    like = np.exp(logs[::every] - logs[::every].max(axis=1, keepdims=True)) + 1e-12
+    first = second = int(np.argmax(weight[::every] @ np.log(like)))
     for _ in range(PLACE_ROUNDS):
-        first, second = second, int(np.argmax(weight @ np.log(like + like[:, second, None])))
-    return np.asarray(like[:, first] > like[:, second])
+        first, second = second, int(np.argmax(weight[::every] @ np.log(like + like[:, second, None])))
+    return np.asarray(logs[:, first] > logs[:, second])
 
 
 def _divide(
     mixture: "Mixture", blank: Candidate, share: dict[int, float], lean: NDArray[np.bool_]
 ) -> list[Candidate]:
     """Two candidates that settle between them who sent what, from a first guess."""
-    pair = [_alike(blank), _alike(blank)]
-    for first_more, (number, whole) in zip(lean, share.items(), strict=True):
-        first = 0.9 if first_more else 0.1
-        pair[0].set_share(number, first * whole)
-        pair[1].set_share(number, (1.0 - first) * whole)
+    pair = [blank.copy(), blank.copy()]
+    numbers, whole = list(share), np.array(list(share.values()))
+    first = np.where(lean, 0.9, 0.1) * whole
+    pair[0].set_shares(numbers, first.tolist())
+    pair[1].set_shares(numbers, (whole - first).tolist())
+    nobody = np.full(whole.size, -1e300)
     for _ in range(8):
         for part in pair:
             part.prune()
-        logs = [part.log_posterior() for part in pair]
-        active = [active_entries(log) for log in logs]
-        exposure = [part.mean_exposure_s(part.posterior()) for part in pair]
-        moved = 0.0
-        for number, whole in share.items():
-            terms = np.array(
-                [
-                    np.log(
-                        (RATE_SHAPE + max(0.0, c.receptions - c.share[number]))
-                        / (mixture.rate_prior_s + seen)
-                    )
-                    + c.log_predictive(number, log, entries)
-                    for c, log, entries, seen in zip(pair, logs, active, exposure, strict=True)
-                ]
-            )
-            shares = whole * np.exp(terms - log_sum(terms))
-            for index, part in enumerate(pair):
-                change = float(shares[index]) - part.share[number]
-                moved += abs(change)
-                part.set_share(number, float(shares[index]))
-                logs[index] = logs[index] + change * part.logs[number]
-        if moved < 0.05:
+        rows, parts = known_shares(pair, numbers)
+        active, start, post, log_exposure = entries_that_count(pair)
+        before = parts.copy()
+        mixture_kernels.share_out(
+            rows,
+            parts,
+            whole,
+            active,
+            start,
+            post,
+            log_exposure,
+            np.array([part.receptions for part in pair]),
+            np.array([part.mean_exposure_s(part.posterior()) for part in pair]),
+            RATE_SHAPE,
+            mixture.rate_prior_s,
+            nobody,
+            nobody,
+            False,
+            np.empty(whole.size),
+            np.empty(whole.size),
+        )
+        take_over(pair, numbers, before, parts)
+        if np.abs(parts - before).sum() < 0.05:
             break
     return pair
 

@@ -34,6 +34,8 @@ OUTSIDE_DB = (4.0, 8.0, 12.0)
 """How far beyond the weakest and strongest known level the hypotheses of a wrong power set lie."""
 PRIOR_OUTSIDE = 0.04
 PRIOR_VARYING = 0.1
+UNHEARD = 1e-5
+"""A packet heard so rarely says nothing by its absence."""
 _SILENT_FROM, _PER_SIGMA = -10.0, 100.0
 _STEPS = 4096
 """Steps of the hearing tables in squared distance, out to `reach_m`."""
@@ -90,6 +92,9 @@ class LevelsModel:
         squared = (np.arange(int(self.reach_outside_m**2 / self.step2_m2) + 2) + 0.5) * self.step2_m2
         self.hear = np.exp(self.log_hear(np.sqrt(squared), self.level_dbm[:, None]))
         """(h - 1, steps) P(one robot hears) at squared distances (k + 1/2) * step2_m2."""
+        unheard = np.array([np.flatnonzero(row >= UNHEARD)[-1] + 1 for row in self.hear])
+        self.limit2_m2 = unheard * self.step2_m2
+        """(h - 1,) squared distance from which on a source of that power counts as not heard at all."""
         self.hear_known_mean = np.ascontiguousarray(self.hear[: known.size, : _STEPS + 2].mean(axis=0))
         """(steps,) the same averaged over the known levels, up to `reach_m`."""
         heard = np.flatnonzero(self.hear_known_mean > 0.01)
