@@ -19,7 +19,7 @@ from fieldkit.engine.grid import Grid
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.infogain import InfoGainPlanner
 from fieldkit.engine.planning.prwa import PrwaPlanner
-from fieldkit.engine.sensing.pairwise import RANGE_DB, STEP_DB, attenuation_db, tables
+from fieldkit.engine.sensing.pairwise import attenuation_db, ratio_tables
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening
 from fieldkit.world.channel import sample_rss_dbm
@@ -74,14 +74,14 @@ def pairwise_numpy(
     As one writes it from the paper, with the integral of eq 12 in closed form (the integral of Phi is
     u Phi(u) + phi(u)); or, `by_table`, by the kernel's own tables with `np.interp`.
     """
-    log_e11, log_e10 = tables(antenna.sigma_db)
-    grid_db = np.arange(-RANGE_DB, RANGE_DB + STEP_DB, STEP_DB)
+    beta = antenna.path_loss_exponent
+    _, nodes, log_e11, log_e10 = ratio_tables(antenna.sigma_db, beta)
     scale = np.sqrt(2.0) * antenna.sigma_db
 
     def integral(u: FloatArray) -> FloatArray:
         return np.asarray(u * ndtr(u) + np.exp(-0.5 * u * u) / np.sqrt(2.0 * np.pi))
 
-    a = attenuation_db(points_m, detection.position_m, antenna.path_loss_exponent, min_range_m)
+    a = attenuation_db(points_m, detection.position_m, beta, min_range_m)
     z = detection.rss_dbm
     total = np.zeros(points_m.shape[0])
     for p in range(len(z)):
@@ -91,14 +91,14 @@ def pairwise_numpy(
             if np.isnan(z[q]):
                 x = a[q] - a[p] - (z[p] - antenna.threshold_dbm)
                 if by_table:
-                    total += np.interp(x, grid_db, log_e10)
+                    total += np.interp(10.0 ** (x / (5.0 * beta)), nodes, log_e10)
                 else:
                     left = 1.0 - scale * (integral((1.0 - x) / scale) - integral(-x / scale))
                     total += np.log(np.maximum(left, 1e-300))
             elif p < q:
                 x = a[q] - a[p] - (z[p] - z[q])
                 if by_table:
-                    total += np.interp(x, grid_db, log_e11)
+                    total += np.interp(10.0 ** (x / (5.0 * beta)), nodes, log_e11)
                 else:
                     inside = ndtr((1.0 - x) / scale) - ndtr((-1.0 - x) / scale)
                     total += np.log(np.maximum(inside, 1e-300))

@@ -336,55 +336,6 @@ def _lookup(table: FloatArray, x: float, half_width: float, per_db: float) -> fl
     return (1.0 - share) * table[k] + share * table[k + 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def squared_ranges(
-    east: FloatArray, north: FloatArray, robots: FloatArray, floor2: float, out: FloatArray
-) -> None:
-    """out (m, n): squared distance from robot to point, at least floor2."""
-    for q in range(robots.shape[0]):
-        for i in range(east.shape[0]):
-            de = east[i] - robots[q, 0]
-            dn = north[i] - robots[q, 1]
-            out[q, i] = max(de * de + dn * dn, floor2)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def pair_lookups(
-    log_d2: FloatArray,
-    rss: FloatArray,
-    threshold: float,
-    steps_per_log: float,
-    half_width: float,
-    per_db: float,
-    log_e11: FloatArray,
-    log_e10: FloatArray,
-    out: FloatArray,
-) -> None:
-    """out (n,): PRWA Theorem 1 (eq 19) in logs: one look-up per pair and point, each unordered pair once.
-
-    `log_d2` (m, n) is the natural logarithm of the squared distances.
-    """
-    m, n = log_d2.shape
-    top = log_e11.shape[0] - 2 + 0.999999
-    for p in range(m):
-        if math.isnan(rss[p]):
-            continue
-        for q in range(m):
-            silent = math.isnan(rss[q])
-            if p == q or (p > q and not silent):
-                continue
-            table = log_e10 if silent else log_e11
-            delta = rss[p] - threshold if silent else rss[p] - rss[q]
-            shift = (half_width - delta) * per_db
-            a = log_d2[p]
-            b = log_d2[q]
-            for i in range(n):
-                at = min(max((b[i] - a[i]) * steps_per_log + shift, 0.0), top)
-                index = int(at)
-                low = table[index]
-                out[i] += low + (at - index) * (table[index + 1] - low)
-
-
 @njit(cache=True, nogil=True)
 def spacing_entropy(
     cells: FloatArray,

@@ -6,20 +6,25 @@ from typing import Any
 import numpy as np
 
 from fieldkit.clock import wall_s
-from fieldkit.engine.belief.spog import SpogBelief
+from fieldkit.engine.belief.spog import DIRICHLET_ALPHA, SpogBelief
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection
 from fieldkit.world.sources import TransientSource
-from mission.bench import pairwise_numpy
+from mission.bench import spog_numpy
 from mission.study.packets import Outcome, search
 
 
 class NumpySpog(SpogBelief):
-    """Theorem 1 written out in numpy; the Dirichlet rule is numpy in both."""
+    """Theorem 1, Algorithm 1 and the Dirichlet rule written out in numpy."""
 
     def detect(self, detection: Detection) -> None:
-        engine = self.settings
-        self.update(pairwise_numpy(engine.grid.centres_m, detection, engine.antenna, engine.grid.cell_m / 2))
+        engine, n = self.settings, self.grid.n_cells
+        p1, self.log_absent = spog_numpy(
+            self.grid.centres_m, detection, engine, self.log_prior, self.log_absent
+        )
+        self._events += 1
+        self._sum_p1 += p1
+        self.log_prior = np.log((DIRICHLET_ALPHA / n + self._sum_p1) / (DIRICHLET_ALPHA + self._events))
 
 
 def against_numpy(

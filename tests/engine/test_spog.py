@@ -11,6 +11,7 @@ from fieldkit.antenna.model import Antenna
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.sensing.pairwise import log_likelihood_exact
+from fieldkit.engine.spog_kernel import add_shares
 from fieldkit.errors import ConfigError
 from mission.bench import random_detection, settings, spog_numpy
 
@@ -51,6 +52,19 @@ def test_compiled_update_agrees_with_plain_numpy() -> None:
     belief.detect(detection)
     assert belief.log_absent == pytest.approx(log_absent, abs=1e-9)
     assert p1.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("sharpness", [0.0, 1.0, 30.0, 800.0])
+def test_compiled_shares_agree_with_plain_numpy_from_a_flat_belief_to_a_certain_one(sharpness: float) -> None:
+    rng = np.random.default_rng(5)
+    weight, log_absent, sums = np.exp(-sharpness * rng.random(4000)), -rng.random(4000), rng.random(4000)
+    weight[17] = 1.0
+    share = weight / weight.sum()
+    expected = log_absent + np.log1p(-np.minimum(share, 1.0 - 1e-16)), sums + share
+    add_shares(weight, float(weight.sum()), log_absent, sums)
+    assert weight == pytest.approx(share, rel=1e-14)
+    assert log_absent == pytest.approx(expected[0], rel=1e-12, abs=1e-15)
+    assert sums == pytest.approx(expected[1], rel=1e-14)
 
 
 def test_literal_rule_forgets_the_first_of_two_sources_and_em_does_not() -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import logsumexp
 
-from fieldkit.engine import kernels
+from fieldkit.engine import kernels, spog_kernel
 from fieldkit.engine.sensing.directional import DirectionalModel
 from fieldkit.engine.sensing.levels import LevelsModel
 from fieldkit.engine.sensing.pairwise import PairwiseModel
@@ -86,19 +86,21 @@ class SpogBelief:
         if self.settings.prior_rule == "em":
             self._reattribute(log_likelihood)
             return
-        log_p1 = _normalised(log_likelihood + self.log_prior)
-        p1 = np.exp(log_p1)
-        self.log_absent += np.log1p(-np.minimum(p1, 1.0 - 1e-16))
-        self._sum_p1 += p1
+        log_weight = log_likelihood + self.log_prior
+        log_weight -= log_weight.max()
+        p1 = np.exp(log_weight)
+        total = float(p1.sum())
+        spog_kernel.add_shares(p1, total, self.log_absent, self._sum_p1)
         match self.settings.prior_rule:
             case "literal":
-                self.log_prior = log_p1
-            case "uniform":
-                self.log_prior = np.full(n, -np.log(n))
+                log_weight -= np.log(total)
+                self.log_prior = log_weight
+            case "dirichlet":
+                pseudo = self._sum_p1 + DIRICHLET_ALPHA / n
+                pseudo /= DIRICHLET_ALPHA + self._events
+                self.log_prior = np.log(pseudo, out=pseudo)
             case _:
-                self.log_prior = np.log(
-                    (DIRICHLET_ALPHA / n + self._sum_p1) / (DIRICHLET_ALPHA + self._events)
-                )
+                pass  # uniform: as it was
 
     def _reattribute(self, log_likelihood: FloatArray) -> None:
         """EM over all stored events: pi are the mixture weights, r_ki the share of event k that cell i sent."""
@@ -181,8 +183,3 @@ class SpogBelief:
         state.update(self.log_absent.tobytes())
         state.update(str(self._events).encode())
         return state.digest()
-
-
-def _normalised(log_weights: FloatArray) -> FloatArray:
-    shifted = log_weights - log_weights.max()
-    return np.asarray(shifted - np.log(np.exp(shifted).sum()))

@@ -11,20 +11,21 @@ silent say nothing (Lemma 4). Theorem 1 (eq 19) multiplies all pairs, each unord
 factors" depend on the cell, so it counts evidence several times: regions are too small by half with six robots.
 """
 
+import math
 from functools import lru_cache
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from fieldkit.antenna.model import Antenna
-from fieldkit.engine import kernels
+from fieldkit.engine import spog_kernel
 from fieldkit.messages import Detection, FloatArray
 
 STEP_DB = 1.0 / 32.0
 RANGE_DB = 160.0
-"""Half width of the tables; x beyond it is clamped."""
-BLOCK = 4096
-"""Points taken at a time."""
+"""Half width of the tables, at least; x beyond it is clamped."""
+MOST_OCTAVES = 256
+"""Tables end there where distance hardly matters (exponents below 0.42): no ratio of distances is so large."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
@@ -74,9 +75,24 @@ def log_likelihood_exact(
 
 @lru_cache(maxsize=16)
 def tables(sigma_db: float) -> tuple[FloatArray, FloatArray]:
-    """log E11 and log E10 at x = -RANGE_DB, -RANGE_DB + STEP_DB, ... Linear in between is right to 5e-5 fused."""
+    """log E11 and log E10 at x = -RANGE_DB, -RANGE_DB + STEP_DB, ... Linear in between is right to 5e-5."""
     x = np.arange(-RANGE_DB, RANGE_DB + STEP_DB, STEP_DB)
     return log_e11(x, sigma_db), log_e10(x, sigma_db)
+
+
+@lru_cache(maxsize=16)
+def ratio_tables(
+    sigma_db: float, path_loss_exponent: float
+) -> tuple[int, FloatArray, FloatArray, FloatArray]:
+    """Powers of two by which the table reaches either side of 1; the ratios (k,) of its nodes; log E11, log E10 there.
+
+    It covers +-RANGE_DB. Linear in the ratio in between, the sum over all pairs of six robots is right to 1e-4 where
+    a cell is within 40 of the best.
+    """
+    octaves = min(MOST_OCTAVES, math.ceil(RANGE_DB / (5.0 * path_loss_exponent * math.log10(2.0))))
+    ratio = spog_kernel.nodes(octaves)
+    x_db = 5.0 * path_loss_exponent * np.log10(ratio)
+    return octaves, ratio, log_e11(x_db, sigma_db), log_e10(x_db, sigma_db)
 
 
 class PairwiseModel:
@@ -89,31 +105,23 @@ class PairwiseModel:
             np.ascontiguousarray(points_m[:, 1]),
         )
         self._floor_m2 = min_range_m**2
-        self._tables = tables(antenna.sigma_db)
-        self._steps_per_log = 5.0 * antenna.path_loss_exponent / np.log(10.0) / STEP_DB
+        self._octaves, ratio, both, one = ratio_tables(antenna.sigma_db, antenna.path_loss_exponent)
+        self._both, self._one = spog_kernel.lines(ratio, both), spog_kernel.lines(ratio, one)
+        self._per_db = math.log(10.0) / (5.0 * antenna.path_loss_exponent)
 
     def log_likelihood(self, detection: Detection) -> FloatArray:
         """(n,) log of Theorem 1's product without its constant."""
-        # numpy's logarithm is vectorised, a compiled loop's is not; in blocks, so that large fields stay in the cache.
-        n, m = self._east_m.size, detection.position_m.shape[0]
-        out = np.zeros(n)
-        room = np.empty(m * min(n, BLOCK))
-        for start in range(0, n, BLOCK):
-            block = slice(start, min(n, start + BLOCK))
-            size = block.stop - start
-            log_d2 = room[: m * size].reshape(m, size)
-            kernels.squared_ranges(
-                self._east_m[block], self._north_m[block], detection.position_m, self._floor_m2, log_d2
-            )
-            np.log(log_d2, out=log_d2)
-            kernels.pair_lookups(
-                log_d2,
-                detection.rss_dbm,
-                self.antenna.threshold_dbm,
-                self._steps_per_log,
-                RANGE_DB,
-                1.0 / STEP_DB,
-                *self._tables,
-                out[block],
-            )
+        out = np.empty(self._east_m.size)
+        spog_kernel.theorem_1(
+            self._east_m,
+            self._north_m,
+            detection.position_m,
+            detection.rss_dbm - self.antenna.threshold_dbm,
+            self._floor_m2,
+            self._per_db,
+            self._octaves,
+            self._both,
+            self._one,
+            out,
+        )
         return out
