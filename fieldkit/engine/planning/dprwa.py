@@ -18,6 +18,7 @@ from scipy.spatial.distance import cdist, squareform
 from fieldkit.engine.belief.base import Belief
 from fieldkit.engine.decentral.circle import Circle, Period, make_circle, plan_period
 from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.detour import Detours, shares_of_length
 from fieldkit.engine.planning.ridges import Ridge, find_ridges
 from fieldkit.engine.planning.tour import ridge_tour
 from fieldkit.engine.planning.walks import typical_range_m
@@ -52,6 +53,7 @@ class DprwaPlanner:
                 f"dprwa: expected at least 1 ridge and tau0_s above 0, got {ridges} and {tau0_s}"
             )
         self.settings, self.tau0_s, self.most_ridges, self.group_gap_m = settings, tau0_s, ridges, group_gap_m
+        self._detours = Detours(settings.grid, settings.keep_out, settings.fence_margin_m)
         self.period = 0
         """Number of the planning period: plans made so far."""
         self._ways: dict[str, tuple[NDArray[np.int64], FloatArray]] = {}
@@ -80,14 +82,14 @@ class DprwaPlanner:
         return self._rest(situation, due)
 
     def _rest(self, situation: Situation, due: set[str]) -> Plan:
-        """Paths along what is still to come of each robot's way."""
+        """Paths along what is still to come of each robot's way, round what must not be entered."""
         paths: dict[str, tuple[Waypoint, ...]] = {}
         for robot in sorted(due):
             t_ns, place = self._ways[robot]
             left = t_ns > situation.t_ns
             corners = np.concatenate([[situation.position_m[robot]], place[left]])
             t_s = np.concatenate([[0.0], (t_ns[left] - situation.t_ns) * 1e-9])
-            paths[robot] = _timed(t_s, corners, self.settings.max_speed_m_s)
+            paths[robot] = _timed(*self._detours.timed(t_s, corners), self.settings.max_speed_m_s)
         return Plan(situation.t_ns, paths, dict.fromkeys(paths, "ring"))
 
     def periods(self, here_m: list[FloatArray], belief: Belief) -> list[tuple[list[int], Period]]:
@@ -133,6 +135,7 @@ class DprwaPlanner:
         corners = np.concatenate([ends[r][::-1] if flip else ends[r] for r, flip in order])
         weight = np.zeros(len(corners))
         weight[::2] = [ridges[r].weight for r, _ in order]  # the legs on ridges
+        corners, weight = self._round(corners, weight)
         spacing = max(typical_range_m(settings), settings.min_separation_m)
         return make_circle(
             corners,
@@ -144,6 +147,26 @@ class DprwaPlanner:
             settings.grid,
             settings.fence_margin_m,
         )
+
+    def _round(self, corners_m: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The ring's corners (k, 2) and the weights (k,) of the legs from them, with detours put in between.
+
+        Corners that cannot be reached are left out, with what their legs weigh; where that leaves no ring, nothing is.
+        """
+        free = np.flatnonzero(~self.settings.keep_out.contains(corners_m))
+        if not self.settings.keep_out.polygons or len(free) == 0:
+            return corners_m, weight
+        last = free[0]
+        places, weights = [corners_m[last]], []
+        for index in [*free[1:], free[0]]:
+            way = self._detours.way(places[-1], corners_m[index])
+            if way is not None:
+                weights.extend(weight[last] * shares_of_length(np.concatenate([places[-1][None], way])))
+                places.extend(way)
+                last = index
+        if len(places) < 3 or last != free[0]:
+            return corners_m, weight
+        return np.array(places[:-1]), np.array(weights)
 
 
 def virtual_ridges(

@@ -16,8 +16,9 @@ from fieldkit.engine.belief.base import Belief
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.ridges import Ridge, find_ridges
 from fieldkit.engine.planning.spacing import best_spacing_m
+from fieldkit.engine.planning.steering import Steering
 from fieldkit.engine.planning.tour import off_ridge_m, ridge_tour, time_on_ridges_s
-from fieldkit.engine.planning.walks import random_corners, steer, typical_range_m
+from fieldkit.engine.planning.walks import random_corners, typical_range_m
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
@@ -36,6 +37,7 @@ class PrwaPlanner:
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self._rng = np.random.default_rng([settings.seed, 0x93A])
+        self._steering = Steering(settings)
 
     def plan(self, situation: Situation, belief: Belief) -> Plan:
         """A tour of ridges for as many teams as there are components; random walks for the rest."""
@@ -47,15 +49,16 @@ class PrwaPlanner:
         paths: dict[str, tuple[Waypoint, ...]] = {}
         purpose: dict[str, str] = {}
         for index, (team, start) in enumerate(zip(situation.teams, starts, strict=True)):
+            own: dict[str, tuple[Waypoint, ...]] = {}
+            why = "ridge"
             if index in assigned:
                 mine = clusters[assigned[index]]
                 corners = self._walk(mine, start.mean(axis=0))
-                spacing = self._spacing(mine, presence, activity)
-                why = "ridge"
-            else:
-                corners = random_corners(self.settings, start.mean(axis=0), self._rng)
-                spacing, why = typical_range_m(self.settings), "walk"
-            paths |= steer(self.settings, team, start, corners, spacing)
+                own = self._steering.steer(team, start, corners, self._spacing(mine, presence, activity))
+            if not any(own.values()):  # no ridge, or none that can be reached
+                corners, why = random_corners(self.settings, start.mean(axis=0), self._rng), "walk"
+                own = self._steering.steer(team, start, corners, typical_range_m(self.settings))
+            paths |= own
             purpose |= dict.fromkeys(team, why)
         return Plan(situation.t_ns, paths, purpose)
 

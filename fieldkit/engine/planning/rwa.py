@@ -13,12 +13,12 @@ import numpy as np
 
 from fieldkit.engine.belief.base import Belief
 from fieldkit.engine.planning.base import Situation
-from fieldkit.engine.planning.detour import Detours
 from fieldkit.engine.planning.prwa import assign, cluster_ridges
 from fieldkit.engine.planning.ridges import Ridge, find_ridges
 from fieldkit.engine.planning.schedule import ridge_schedule
+from fieldkit.engine.planning.steering import Steering
 from fieldkit.engine.planning.tour import ridge_tour
-from fieldkit.engine.planning.walks import random_corners, steer, typical_range_m
+from fieldkit.engine.planning.walks import random_corners, typical_range_m
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
@@ -37,7 +37,7 @@ class RwaPlanner:
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self._rng = np.random.default_rng([settings.seed, 0x12A])
-        self._detours = Detours(settings.grid, settings.keep_out)
+        self._steering = Steering(settings)
 
     def plan(self, situation: Situation, belief: Belief) -> Plan:
         """A tour of ridges for every robot there are ridges for; a random walk for the others."""
@@ -50,16 +50,16 @@ class RwaPlanner:
         paths: dict[str, tuple[Waypoint, ...]] = {}
         purpose: dict[str, str] = {}
         for index, ((robot,), start) in enumerate(zip(groups, starts, strict=True)):
+            own: dict[str, tuple[Waypoint, ...]] = {}
+            why, spacing = "ridge", typical_range_m(self.settings)
             if index in assigned:
-                corners, why = self._walk(clusters[assigned[index]], start), "ridge"
-            else:
+                corners = self._walk(clusters[assigned[index]], start)
+                own = self._steering.steer((robot,), start[None], corners, spacing)
+            if not any(own.values()):  # no ridge, or none that can be reached
                 corners, why = random_corners(self.settings, start, self._rng), "walk"
-            corners = self._round(start, corners)
-            if len(corners) == 0:
-                paths[robot], purpose[robot] = (), "wait"
-                continue
-            paths |= steer(self.settings, (robot,), start[None], corners, typical_range_m(self.settings))
-            purpose[robot] = why
+                own = self._steering.steer((robot,), start[None], corners, spacing)
+            paths |= own
+            purpose[robot] = why if own[robot] else "wait"
         return Plan(situation.t_ns, paths, purpose)
 
     def _without_found(self, belief: Belief) -> FloatArray:
@@ -84,15 +84,3 @@ class RwaPlanner:
         order = ridge_tour(start_m, ends)
         period, speed = self.settings.planning_period_s, self.settings.max_speed_m_s
         return ridge_schedule(start_m, ends, order, weights, period, speed, sweeps=True).corners_m()
-
-    def _round(self, start_m: FloatArray, corners_m: FloatArray) -> FloatArray:
-        """The corners with ways round what must not be entered; those that cannot be reached are left out."""
-        if not self.settings.keep_out.polygons:
-            return corners_m
-        here, ways = start_m, []
-        for corner in corners_m:
-            way = self._detours.way(here, corner)
-            if way is not None:
-                ways.append(way)
-                here = corner
-        return np.concatenate(ways) if ways else np.empty((0, 2))

@@ -10,11 +10,14 @@ import math
 import numpy as np
 
 from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.planning.base import Situation, abreast, waypoints
+from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.steering import Steering
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
 LEGS = 3
+DRAWS = 20
+"""How often a leg is drawn before a detour is taken."""
 LEAST_LANES = 6
 """Radios that hear across the whole field would else see it from two lines only."""
 
@@ -32,6 +35,7 @@ class PairRandomWalk:
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self._rng = np.random.default_rng([settings.seed, 0x3A1])
+        self._steering = Steering(settings)
 
     def plan(self, situation: Situation, belief: Belief) -> Plan:
         """Three legs for each team."""
@@ -41,7 +45,7 @@ class PairRandomWalk:
             for group in groups:
                 start = np.array([situation.position_m[robot] for robot in group])
                 corners = random_corners(self.settings, start.mean(axis=0), self._rng)
-                paths |= steer(self.settings, group, start, corners, typical_range_m(self.settings))
+                paths |= self._steering.steer(group, start, corners, typical_range_m(self.settings))
         return Plan(situation.t_ns, paths, dict.fromkeys(paths, "walk"))
 
 
@@ -52,28 +56,19 @@ class RandomWalk(PairRandomWalk):
 
 
 def random_corners(settings: EngineSettings, here_m: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """(LEGS, 2) corners of a random walk from `here_m`."""
+    """(LEGS, 2) corners of a random walk from `here_m`; a leg onto ground to be kept out of is drawn again."""
     size = np.array([settings.grid.size_east_m, settings.grid.size_north_m])
     corners = []
     for _ in range(LEGS):
-        heading = rng.uniform(0.0, 2.0 * math.pi)
-        length = rng.uniform(0.2, 0.6) * size.min()
-        here_m = np.clip(here_m + length * np.array([math.sin(heading), math.cos(heading)]), 0.0, size)
-        corners.append(here_m)
+        for _ in range(DRAWS):
+            heading = rng.uniform(0.0, 2.0 * math.pi)
+            length = rng.uniform(0.2, 0.6) * size.min()
+            corner = np.clip(here_m + length * np.array([math.sin(heading), math.cos(heading)]), 0.0, size)
+            if not settings.keep_out.blocks(here_m[None], corner[None])[0]:
+                break
+        corners.append(corner)
+        here_m = corner
     return np.array(corners)
-
-
-def steer(
-    settings: EngineSettings,
-    team: tuple[str, ...],
-    start_m: FloatArray,
-    corners_m: FloatArray,
-    spacing_m: float,
-) -> dict[str, tuple[Waypoint, ...]]:
-    """Way-points for a team that follows corners (k, 2) abreast."""
-    spacing = max(spacing_m, settings.min_separation_m)
-    places = abreast(corners_m, start_m, spacing, settings.grid, settings.fence_margin_m)
-    return dict(zip(team, waypoints(places, start_m, settings.max_speed_m_s), strict=True))
 
 
 class PairPatrol:
@@ -83,7 +78,8 @@ class PairPatrol:
 
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
-        self._route = lanes(settings)
+        self._steering = Steering(settings)
+        self._route = np.array([self._steering.allowed(corner) for corner in lanes(settings)])
         self._lane_m = settings.grid.size_east_m / (len(self._route) / 2)
         groups = [(r,) for team in settings.teams for r in team] if self.alone else list(settings.teams)
         self._next = {group: round(i / len(groups) * len(self._route)) for i, group in enumerate(groups)}
@@ -95,10 +91,20 @@ class PairPatrol:
             groups = [(robot,) for robot in team] if self.alone else [team]
             for group in groups:
                 start = np.array([situation.position_m[robot] for robot in group])
-                at = self._advance(group, start.mean(axis=0))
-                corners = self._route[[(at + k) % len(self._route) for k in range(2)]]
-                paths |= steer(self.settings, group, start, corners, typical_range_m(self.settings))
+                paths |= self._stretch(group, start)
         return Plan(situation.t_ns, paths, dict.fromkeys(paths, "patrol"))
+
+    def _stretch(self, group: tuple[str, ...], start_m: FloatArray) -> dict[str, tuple[Waypoint, ...]]:
+        """Paths along the next two corners; corners to which no way leads are passed over."""
+        at = self._advance(group, start_m.mean(axis=0))
+        paths: dict[str, tuple[Waypoint, ...]] = {}
+        for _ in self._route:
+            corners = self._route[[(at + k) % len(self._route) for k in range(2)]]
+            paths = self._steering.steer(group, start_m, corners, typical_range_m(self.settings))
+            if any(paths.values()):
+                break
+            at = self._next[group] = (at + 1) % len(self._route)
+        return paths
 
     def _advance(self, group: tuple[str, ...], here_m: FloatArray) -> int:
         """The corner to drive to: the one after the corner it stands at, were it the second of the last plan."""
