@@ -1,5 +1,6 @@
 """mission.toml: read, checked at this edge, and turned into what kernel, safety and rigs are given."""
 
+import math
 import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -87,6 +88,10 @@ class EngineTable(_Table):
     pose_sigma_m: float = Field(default=0.05, ge=0)
     prior_rule: Literal["literal", "uniform", "dirichlet", "em"] = "em"
     sensing: Literal["levels", "pairwise", "directional"] = "levels"
+    group_gap_m: float = Field(default=math.inf, gt=0)
+    """`dprwa`: ridges further apart than this are toured in separate groups."""
+    normalised_entropy: bool = False
+    """`prwa`: choose how far abreast pairs drive by a distribution, not by P(C_i) as printed."""
 
 
 class AssociationTable(_Table):
@@ -366,6 +371,8 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         seed=file.seed,
         prior_rule=file.engine.prior_rule,
         sensing=file.engine.sensing,
+        group_gap_m=file.engine.group_gap_m,
+        normalised_entropy=file.engine.normalised_entropy,
     )
     kernel = KernelSettings(
         engine,

@@ -1,5 +1,6 @@
 """What the engine is told before a mission; checked once here, trusted inside."""
 
+import math
 from dataclasses import dataclass
 
 from fieldkit.antenna.model import Antenna
@@ -44,6 +45,10 @@ class EngineSettings:
     """SPOG only: literal, uniform, dirichlet or em (notes on PRWA eq 2)."""
     sensing: str = "levels"
     """levels (exact, power set known), pairwise (PRWA Theorem 1) or directional (RWA, one robot); for SPOG."""
+    group_gap_m: float = math.inf
+    """DPRWA only: ridges further apart than this are toured in separate groups, each by pairs of its own."""
+    normalised_entropy: bool = False
+    """PRWA only: choose the spacing by P(C_i^1), a distribution, not by P(C_i) as eq 25 prints it."""
 
     def __post_init__(self) -> None:
         if not self.power_levels_db:
@@ -59,6 +64,7 @@ class EngineSettings:
             "planning_period_s",
             "max_speed_m_s",
             "max_turn_deg_s",
+            "group_gap_m",
         ):
             if not getattr(self, name) > 0.0:
                 raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)}")

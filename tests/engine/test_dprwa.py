@@ -154,7 +154,7 @@ def test_sparse_ridges_are_split_and_pairs_sent_by_weight() -> None:
     with pytest.raises(ValueError, match="merge groups"):
         dispatch(np.ones(3), 2)
     engine = settings(2, 2, 2, 2)
-    planner = DprwaPlanner(engine, group_gap_m=6.0)
+    planner = DprwaPlanner(replace(engine, group_gap_m=6.0))
     groups = planner.periods(start(engine), belief(engine, (2.0, 2.0), (23.0, 23.0)))
     assert sorted(team for members, _ in groups for team in members) == [0, 1, 2, 3]
     assert len(groups) == 2

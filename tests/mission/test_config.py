@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from fieldkit import plugins
+from fieldkit.engine.planning.dprwa import DprwaPlanner
 from fieldkit.errors import ConfigError
 from mission.config import read_mission
 from mission.synthetic import small_mission
@@ -38,6 +40,8 @@ def change(folder: Path, old: str, new: str) -> Path:
             'schema = 1\npositions = [{driver = "crystal ball"}]',
             ["positions.0.driver", "crystal ball"],
         ),
+        ("[engine]", "[engine]\ngroup_gap_m = 0", ["engine.group_gap_m", "greater than 0", "0"]),
+        ("[engine]", '[engine]\nsensing = "ears"', ["engine.sensing", "pairwise", "'ears'"]),
         ("schema = 1", "schema = 7", ["schema", "newer", "update"]),
         ("schema = 1", "schema = [", ["TOML"]),
         ("system_id = 2", "system_id = 1", ["'r2'", "system_id", "'r1'"]),
@@ -55,6 +59,16 @@ def test_each_mistake_is_named_with_its_place(folder: Path, old: str, new: str, 
     message = str(caught.value)
     for word in [*words, str(folder)]:
         assert word in message
+
+
+def test_options_of_the_papers_planners_reach_them(folder: Path) -> None:
+    assert read_mission(folder / "mission.toml").kernel.engine.group_gap_m == float("inf")
+    path = change(folder, "[engine]", "[engine]\ngroup_gap_m = 8.5\nnormalised_entropy = true")
+    path = change(folder, 'planner = "infogain"', 'planner = "dprwa"')
+    mission = read_mission(path)
+    assert mission.kernel.engine.group_gap_m == 8.5 and mission.kernel.engine.normalised_entropy
+    planner = plugins.load("fieldkit.planners", mission.kernel.planner)(mission.kernel.engine)
+    assert isinstance(planner, DprwaPlanner) and planner.settings.group_gap_m == 8.5
 
 
 def test_a_missing_file_says_how_to_get_one(tmp_path: Path) -> None:

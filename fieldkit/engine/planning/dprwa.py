@@ -35,7 +35,7 @@ SLOWEST_M_S = 0.01
 
 
 class DprwaPlanner:
-    """See the module. `group_gap_m`: ridges further apart than this are toured in separate groups."""
+    """See the module."""
 
     alone = False
 
@@ -45,14 +45,13 @@ class DprwaPlanner:
         *,
         tau0_s: float = TAU0_S,
         ridges: int = RIDGES,
-        group_gap_m: float = np.inf,
     ) -> None:
         """Raises `ConfigError` for no ridges or no time."""
         if ridges < 1 or not tau0_s > 0.0:
             raise ConfigError(
                 f"dprwa: expected at least 1 ridge and tau0_s above 0, got {ridges} and {tau0_s}"
             )
-        self.settings, self.tau0_s, self.most_ridges, self.group_gap_m = settings, tau0_s, ridges, group_gap_m
+        self.settings, self.tau0_s, self.most_ridges = settings, tau0_s, ridges
         self._detours = Detours(settings.grid, settings.keep_out, settings.fence_margin_m)
         self.period = 0
         """Number of the planning period: plans made so far."""
@@ -99,7 +98,7 @@ class DprwaPlanner:
             return []
         real, virtual = self.ridges(belief)
         ridges = real + virtual
-        groups = group_ridges(real or virtual, self.group_gap_m, len(here_m))
+        groups = group_ridges(real or virtual, self.settings.group_gap_m, len(here_m))
         if real:
             for index, ridge in enumerate(virtual, start=len(real)):
                 groups[

@@ -103,7 +103,14 @@ class PrwaPlanner:
             settings.min_separation_m, max(1.5 * longest, settings.min_separation_m), SPACINGS
         )
         return best_spacing_m(
-            settings, cells, presence.ravel()[flat], activity.ravel()[flat], centres, across, spacings
+            settings,
+            cells,
+            presence.ravel()[flat],
+            activity.ravel()[flat],
+            centres,
+            across,
+            spacings,
+            normalised=settings.normalised_entropy,
         )
 
 
