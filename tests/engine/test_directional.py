@@ -134,8 +134,12 @@ def test_two_events_on_nine_cells_match_the_reference(rule: str, monkeypatch: py
     belief = SpogBelief(settings)
     belief.update(np.log(vector["input"]["L1"]))
     assert belief.presence().ravel() == pytest.approx(vector["expect"]["P1"], abs=1e-9)
+    if rule == "literal":
+        assert np.exp(belief.log_prior) == pytest.approx(vector["expect"]["q1"], abs=1e-9)
     if rule == "dirichlet":
         assert np.exp(belief.log_prior) == pytest.approx(vector["expect"]["w1_rate_K0=1"], abs=1e-9)
     belief.update(np.log(vector["input"]["L2"]))
     name = {"literal": "P2_literal", "uniform": "P2_uniform", "dirichlet": "P2_rate_K0=1"}[rule]
     assert belief.presence().ravel() == pytest.approx(vector["expect"][name], abs=1e-9)
+    if rule == "literal":
+        assert np.exp(belief.log_prior) == pytest.approx(vector["expect"]["q2_literal"], abs=1e-9)

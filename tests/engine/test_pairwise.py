@@ -34,6 +34,7 @@ def test_both_heard_matches_the_reference(vector: dict) -> None:
     given_ = vector["inp"]
     x = np.array(given_["D_dB"] - given_["delta"])
     assert log_e11(x, given_["sigma"]) == pytest.approx(vector["logL"], abs=1e-9)
+    assert np.exp(log_e11(x, given_["sigma"])) == pytest.approx(vector["L"], rel=1e-9)
 
 
 @pytest.mark.parametrize("vector", vectors("E10"))
@@ -41,6 +42,7 @@ def test_one_heard_matches_the_reference_far_into_the_tail(vector: dict) -> None
     given_ = vector["inp"]
     x = np.array(given_["D_dB"] - given_["delta"])
     assert log_e10(x, given_["sigma"]) == pytest.approx(vector["logL"], abs=1e-9)
+    assert np.exp(log_e10(x, given_["sigma"])) == pytest.approx(vector["L"], rel=1e-9)
 
 
 @pytest.mark.parametrize("vector", vectors("D"))

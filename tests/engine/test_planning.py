@@ -19,7 +19,9 @@ from fieldkit.engine.planning.base import Situation, abreast, track
 from fieldkit.engine.planning.infogain import InfoGainPlanner, blocks_summed
 from fieldkit.engine.planning.prwa import cluster_ridges
 from fieldkit.engine.planning.ridges import Ridge, farthest_pair, find_ridges
+from fieldkit.engine.planning.spacing import best_spacing_m, spacing_entropies
 from fieldkit.engine.planning.tour import EXACT_RIDGES, off_ridge_m, ridge_tour, time_on_ridges_s
+from fieldkit.engine.sensing.pairwise import attenuation_db, log_e10, log_e11
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Listening
 from mission.bench import settings
@@ -173,6 +175,55 @@ def test_time_on_ridges_matches_the_reference() -> None:
     g = vector["inp"]
     times = time_on_ridges_s(np.array(g["wt"]), g["tau0"], g["d_off"], g["v"])
     assert times == pytest.approx(vector["tau"], abs=1e-9)
+    assert times.sum() == pytest.approx(vector["t_on"], abs=1e-9)
+
+
+def plain_entropy(engine, cells, presence, prior, pair, normalised):  # type: ignore[no-untyped-def]
+    """Eq 25 and 26 for one place of a pair, cell by cell and level by level, as one writes them from the paper."""
+    a = attenuation_db(cells, pair, engine.antenna.path_loss_exponent, engine.grid.cell_m / 2)
+    if normalised:
+        presence = prior / prior.sum()
+    total = 0.0
+    for source in range(len(cells)):
+        for level in engine.antenna.power_at_1m_dbm + np.array(engine.power_levels_db):
+            z = np.floor(level - a[:, source] + 0.5)
+            hears = z > engine.antenna.threshold_dbm
+            if hears.all():  # before rounding: the difference the readings are most likely to show
+                log = log_e11(a[1] - a[0] - (a[1, source] - a[0, source]), engine.antenna.sigma_db)
+            elif hears.any():
+                p, q = (0, 1) if hears[0] else (1, 0)
+                log = log_e10(a[q] - a[p] - (z[p] - engine.antenna.threshold_dbm), engine.antenna.sigma_db)
+            post = presence
+            if hears.any():
+                p1 = np.exp(log) * prior / (np.exp(log) * prior).sum()
+                post = p1 if normalised else p1 + presence * (1.0 - p1)
+            total -= float((post * np.log(post)).sum())
+    return total
+
+
+@pytest.mark.parametrize("normalised", [False, True])
+def test_pairs_spread_as_far_as_leaves_least_entropy(normalised: bool) -> None:
+    engine = replace(settings(pairs=1), normalised_entropy=normalised)
+    rng = np.random.default_rng(6)
+    cells = np.column_stack([rng.uniform(8.0, 14.0, 40), rng.uniform(8.0, 11.0, 40)])
+    presence, prior = rng.uniform(0.1, 0.6, 40), rng.uniform(0.001, 0.03, 40)
+    centres, across = np.array([[9.0, 9.5], [12.0, 9.5]]), np.array([[0.0, 1.0], [0.0, 1.0]])
+    spacings = np.array([0.6, 1.5, 2.5, 4.0, 6.0])
+    entropy = [
+        sum(
+            plain_entropy(
+                engine, cells, presence, prior, np.array([c - d * x / 2, c + d * x / 2]), normalised
+            )
+            for c, x in zip(centres, across, strict=True)
+        )
+        for d in spacings
+    ]
+    compiled = spacing_entropies(
+        engine, cells, presence, prior, centres, across, spacings, normalised=normalised
+    )
+    assert compiled == pytest.approx(entropy, rel=1e-5)
+    best = best_spacing_m(engine, cells, presence, prior, centres, across, spacings, normalised=normalised)
+    assert best == spacings[int(np.argmin(entropy))]
 
 
 def test_no_time_is_left_when_travel_takes_the_whole_period() -> None:

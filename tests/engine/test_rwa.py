@@ -58,11 +58,11 @@ def test_level_ridges_tour_and_times_match_the_reference() -> None:
     assert closed == pytest.approx(expected["dOFF_closed"], abs=1e-9)
     weights = np.array([r.weight for r in ridges])
     tau = time_on_ridges_s(weights, 800.0, expected["dOFF_open"], 0.4)
-    assert tau == pytest.approx(expected["tau"], abs=1e-6)
-    assert tau.sum() == pytest.approx(expected["tON"], abs=1e-6)
+    assert tau == pytest.approx(expected["tau"], abs=1e-9)
+    assert tau.sum() == pytest.approx(expected["tON"], abs=1e-9)
     schedule = ridge_schedule(start, ends, order, weights, 800.0, 0.4)
     for t_s, pose in expected["pose_at"].items():
-        assert schedule.pose_at(float(t_s)) == pytest.approx(pose, abs=1e-6)
+        assert schedule.pose_at(float(t_s)) == pytest.approx(pose, abs=1e-9)
 
 
 def test_the_search_time_bound_matches_the_reference() -> None:

@@ -19,12 +19,33 @@ def best_spacing_m(
     *,
     normalised: bool = False,
 ) -> float:
-    """The argmin of eq 26's sum over the candidate spacings (d,).
+    """The argmin of eq 26's sum over the candidate spacings (d,); see `spacing_entropies`.
+
+    (Algorithm 2 looks for the largest single H; the text around eq 26 and the goal ask for the smallest sum, which is
+    what is done.)
+    """
+    entropy = spacing_entropies(
+        settings, cells_m, presence, prior, centres_m, across, spacings_m, normalised=normalised
+    )
+    return float(spacings_m[int(np.argmin(entropy))])
+
+
+def spacing_entropies(
+    settings: EngineSettings,
+    cells_m: FloatArray,
+    presence: FloatArray,
+    prior: FloatArray,
+    centres_m: FloatArray,
+    across: FloatArray,
+    spacings_m: FloatArray,
+    *,
+    normalised: bool,
+) -> FloatArray:
+    """(d,) eq 26's sum for each of the spacings (d,).
 
     `cells_m` (n, 2), `presence` and `prior` (n,) of the cluster; `centres_m` (t, 2) of the pair while on the
     ridge and `across` (t, 2) unit vectors along which it is spread. Eq 25 treats P(C_i) as if it were a
-    distribution; kept as printed unless `normalised`. (Algorithm 2 looks for the largest single H; the text
-    around eq 26 and the goal ask for the smallest sum, which is what is done.)
+    distribution; kept as printed unless `normalised`.
     """
     e11, e10 = (np.exp(table) for table in tables(settings.antenna.sigma_db))
     levels = settings.antenna.power_at_1m_dbm + np.array(settings.power_levels_db)
@@ -49,4 +70,4 @@ def best_spacing_m(
                 normalised,
             )
         )
-    return float(spacings_m[int(np.argmin(entropy))])
+    return np.array(entropy)
