@@ -6,12 +6,11 @@ two: exponent and leading bits of r are the index, and there is no logarithm to 
 """
 
 import math
-from typing import Any
 
 import numpy as np
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
 
+from fieldkit.engine.bits import bits_of
 from fieldkit.messages import FloatArray
 
 BITS = 8
@@ -37,18 +36,6 @@ def lines(ratio: FloatArray, value: FloatArray) -> FloatArray:
     return np.ascontiguousarray([value[:-1] - ratio[:-1] * slope, slope])
 
 
-def _bits_of(_typing_context: Any, _number: Any) -> Any:
-    """A float64 as its 64 bits: sign, exponent and leading digits."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))
-
-    return types.uint64(types.float64), generate
-
-
-_bits: Any = intrinsic(_bits_of)
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _add_term(
     above: FloatArray,
@@ -65,7 +52,7 @@ def _add_term(
         ratio = above[i] * below[i]
         ratio = ratio if ratio > least else least
         ratio = ratio if ratio < most else most
-        index = (_bits(ratio) >> np.uint64(_SHIFT)) - first
+        index = (bits_of(ratio) >> np.uint64(_SHIFT)) - first
         out[i] += level[index] + ratio * slope[index]
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fieldkit.engine import kernels
+from fieldkit.engine import entropy_kernel, spog_kernel
 from fieldkit.engine.sensing.pairwise import RANGE_DB, STEP_DB, tables
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray
@@ -47,14 +47,17 @@ def spacing_entropies(
     ridge and `across` (t, 2) unit vectors along which it is spread. Eq 25 treats P(C_i) as if it were a
     distribution; kept as printed unless `normalised`.
     """
-    e11, e10 = (np.exp(table) for table in tables(settings.antenna.sigma_db))
+    e11, e10 = (
+        spog_kernel.lines(np.arange(float(len(table))), np.exp(table))
+        for table in tables(settings.antenna.sigma_db)
+    )
     levels = settings.antenna.power_at_1m_dbm + np.array(settings.power_levels_db)
     entropy = []
     for spacing in spacings_m:
         half = 0.5 * spacing * across
         pairs = np.ascontiguousarray(np.stack([centres_m - half, centres_m + half], axis=1))
         entropy.append(
-            kernels.spacing_entropy(
+            entropy_kernel.spacing_entropy(
                 np.ascontiguousarray(cells_m),
                 np.ascontiguousarray(presence),
                 np.ascontiguousarray(prior),
