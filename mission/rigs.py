@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from fieldkit import plugins
+from fieldkit.antenna.file import with_pattern
+from fieldkit.antenna.model import Antenna
 from fieldkit.clock import Clock, RealClock, ScaledClock
 from fieldkit.ports import PositionSource, Receiver, Surroundings, VehicleLink
 from fieldkit.world.sources import TransientSource
@@ -86,6 +88,11 @@ def with_vehicles(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock
     )
 
 
+def radio_of(mission: Mission) -> Antenna:
+    """The robots' antenna as the file has it, with its pattern where it has one: what emulated radios hear with."""
+    return with_pattern(mission.antenna) if mission.antenna.pattern else mission.antenna.antenna
+
+
 @contextmanager
 def emulated(
     mission: Mission,
@@ -108,7 +115,7 @@ def emulated(
     spec = spec_type(
         clock=clock,
         frame=mission.frame,
-        antenna=mission.antenna.antenna,
+        antenna=radio_of(mission),
         sources=sources,
         robots=tuple(
             robot_type(name, number, float(east), float(north), 0.0)

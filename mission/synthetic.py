@@ -1,6 +1,8 @@
 """A small mission in virtual time, recorded: for tests, benchmarks and examples that need a recording at once."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from fieldkit.world.sources import TransientSource, random_sources
 from mission.config import Mission, read_mission
 from mission.journal import Journal
 from mission.kernel import Kernel, Outcome, state_digest
-from mission.rigs import start_places
+from mission.rigs import radio_of, start_places
 from mission.safety import Safety
 from mission.simulate import Truth, simulate
 from mission.template import TemplateRobot, mission_text
@@ -29,9 +31,11 @@ def small_mission(
     duration_s: float = 120.0,
     robots: int = 4,
     sources_found: int | None = None,
+    engine: Mapping[str, str | float | bool] = MappingProxyType({}),
+    antenna: AntennaFile = AntennaFile(ANTENNA),
 ) -> Mission:
-    """A 10 m x 10 m mission in `folder` (mission.toml, antenna.toml), checked."""
-    write_whole(folder / "antenna.toml", dump_antenna(AntennaFile(ANTENNA)))
+    """A 10 m x 10 m mission in `folder` (mission.toml, antenna.toml), checked. `engine`: keys of that table."""
+    write_whole(folder / "antenna.toml", dump_antenna(antenna))
     text = mission_text(
         name="synthetic",
         seed=seed,
@@ -45,6 +49,7 @@ def small_mission(
         fence_margin_m=0.2,
         min_separation_m=0.5,
         overrun_s=60.0,
+        engine=engine,
         robots=[TemplateRobot(f"r{k}", f"port{k}", "udpin:127.0.0.1:14550", k) for k in range(1, robots + 1)],
     )
     write_whole(folder / "mission.toml", text)
@@ -63,16 +68,24 @@ def record_simulated(
     duration_s: float = 120.0,
     robots: int = 4,
     sources_found: int | None = None,
+    engine: Mapping[str, str | float | bool] = MappingProxyType({}),
+    antenna: AntennaFile = AntennaFile(ANTENNA),
 ) -> Path:
     """Simulate and record such a mission with three sources; the recording's path.
 
     It ends when all three are found; to have it last for `duration_s`, ask for more `sources_found` than there are.
     """
     mission = small_mission(
-        folder, seed=seed, duration_s=duration_s, robots=robots, sources_found=sources_found
+        folder,
+        seed=seed,
+        duration_s=duration_s,
+        robots=robots,
+        sources_found=sources_found,
+        engine=engine,
+        antenna=antenna,
     )
     sources = hidden_sources(seed)
-    truth = Truth(ANTENNA, sources, tuple(start_places(mission).values()))
+    truth = Truth(radio_of(mission), sources, tuple(start_places(mission).values()))
     path = folder / "mission.mcap"
     safety = Safety(mission.safety)
     number = 0

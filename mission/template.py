@@ -1,7 +1,9 @@
 """The commented mission.toml that `fieldkit new` writes and the demo runs."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +41,10 @@ def mission_text(
     fence_margin_m: float = 0.5,
     min_separation_m: float = 1.0,
     overrun_s: float = 3.0,
+    engine: Mapping[str, str | float | bool] = MappingProxyType({}),
     robots: Sequence[TemplateRobot] = EXAMPLE_ROBOTS,
 ) -> str:
-    """The text of a mission file. Robots are teamed two by two."""
+    """The text of a mission file. Robots are teamed two by two. `engine`: belief, planner, what these want besides."""
     teams = "\n".join(
         f"[[team]]\nrobots = [{', '.join(repr(robot.name).replace(chr(39), chr(34)) for robot in robots[i : i + 2])}]\n"
         for i in range(0, len(robots), 2)
@@ -54,6 +57,8 @@ def mission_text(
     )
     found = f"sources_found = {sources_found}" if sources_found else "# sources_found = 3"
     left = "# probability_left = 0.05" if sources_found else "probability_left = 0.05"
+    chosen: dict[str, str | float | bool] = {"belief": "intensity", "planner": "infogain", **engine}
+    engine_lines = "\n".join(f"{key} = {json.dumps(value)}" for key, value in chosen.items())
     levels = ", ".join(f"{level:.1f}" for level in power_levels_db)
     return f"""\
 # A fieldkit mission. Check it with 'fieldkit check', run it with 'fieldkit run'.
@@ -79,8 +84,7 @@ rate_hz = {rate_hz}               # how often a typical one transmits
 expected = {expected:.1f}               # roughly how many there may be; not a limit
 
 [engine]
-belief = "intensity"
-planner = "infogain"
+{engine_lines}
 found_probability = {found_probability}      # of being within one cell of the estimate
 min_receptions = 4
 planning_period_s = {planning_period_s:.1f}

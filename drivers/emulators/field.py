@@ -386,8 +386,11 @@ class _Field:
         number, self._sent[index] = self._sent[index], self._sent[index] + 1
         robots = list(self._robots.values())
         bodies = [robot.autopilot.body for robot in robots]
-        ranges_m = np.array([np.hypot(b.east_m - source.east_m, b.north_m - source.north_m) for b in bodies])
-        rss_dbm = sample_rss_dbm(self._spec.antenna, ranges_m, source.power_db, self._channel_rng)
+        way_m = np.array([(source.east_m - b.east_m, source.north_m - b.north_m) for b in bodies])
+        off_front_deg = np.degrees(np.arctan2(*way_m.T)) - np.array([b.heading_deg for b in bodies])
+        rss_dbm = sample_rss_dbm(
+            self._spec.antenna, np.hypot(*way_m.T), source.power_db, self._channel_rng, off_front_deg
+        )
         payload = number.to_bytes(4, "big")
         for robot, strength in zip(robots, rss_dbm, strict=True):
             if robot.plugged and np.isfinite(strength):

@@ -55,6 +55,11 @@ class EngineSettings:
             raise ConfigError("power_levels_db: expected at least one level, got none")
         if self.sensing not in SENSING:
             raise ConfigError(f"sensing: expected one of {', '.join(SENSING)}, got {self.sensing!r}")
+        if self.sensing == "pairwise" and len(self.robots) == 1:
+            raise ConfigError(
+                "sensing 'pairwise' compares what at least two robots heard, got 1: "
+                "add a robot, or choose sensing 'levels' or 'directional'"
+            )
         for name in ("found_probability",):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ConfigError(f"{name}: expected a number between 0 and 1, got {getattr(self, name)}")
