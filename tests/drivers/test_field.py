@@ -7,6 +7,7 @@ import sys
 import textwrap
 import time
 from contextlib import AsyncExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from drivers.mavlink.fleet import open_link
 from drivers.xbee.receiver import open_receiver
 from fieldkit import plugins
 from fieldkit.antenna.model import Antenna
+from fieldkit.antenna.pattern import lobe_gain_db
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError
 from fieldkit.messages import Pose, ReceiverState, RssReading, Waypoint
@@ -170,3 +172,29 @@ def is_alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"
     except FileNotFoundError:
         return False
+
+
+async def test_a_radio_with_a_directional_antenna_hears_what_its_robot_faces():
+    gains = tuple(float(g) for g in lobe_gain_db(np.arange(360.0), 0.0, 4.0, -20.0))
+    beam = replace(ANTENNA, sigma_db=1.0, pattern_db=gains)
+    robots = (EmulatedRobot("front", 1, 0.0, 0.0, 0.0), EmulatedRobot("back", 2, 0.0, 0.0, 180.0))
+    made = spec(antenna=beam, sources=(TransientSource(0.0, 5.0, 0.0, 2.0),), robots=robots)
+    field = await asyncio.to_thread(start, made)
+    heard = {robot.name: [] for robot in robots}
+    async with AsyncExitStack() as stack:
+        stack.callback(field.close)
+        receivers = [
+            await stack.enter_async_context(open_receiver(name, {"port": port}, around(made.clock)))
+            for name, port in field.receiver_ports.items()
+        ]
+
+        async def listen(receiver):
+            async for item in receiver.readings():
+                if isinstance(item, RssReading):
+                    heard[item.robot].append(item.rss_dbm)
+
+        tasks = [asyncio.create_task(listen(receiver)) for receiver in receivers]
+        await until(lambda: min(map(len, heard.values())) >= 12)
+        for task in tasks:
+            task.cancel()
+    assert np.mean(heard["front"]) - np.mean(heard["back"]) == pytest.approx(20.0, abs=2.0)
