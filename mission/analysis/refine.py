@@ -2,9 +2,10 @@
 
 The engine believes on a grid and in steps of power. Afterwards all detections are there at once, so that an estimate
 between cells is worth making. Detections are shared out over the sources by what each would have led to (EM); each
-source is then where its share is most likely. The likelihood is the engine's: what was heard, what was heard at the
-receiver's ceiling, and who listened and heard nothing (`fieldkit.engine.sensing.levels`). The covariance is the inverse
-of the observed information, that is of the log-likelihood's curvature at its top.
+source is then where its share is most likely (RWA section VI.C, whose readings are weighted likewise). The likelihood
+is the engine's: what was heard, what was heard at the receiver's ceiling, and who listened and heard nothing
+(`fieldkit.engine.sensing.levels`), with the gain towards the source where the antenna has a pattern. The covariance is
+the inverse of the observed information, that is of the log-likelihood's curvature at its top.
 """
 
 from collections.abc import Callable, Sequence
@@ -59,6 +60,8 @@ class Heard:
 
     place_m: FloatArray
     """(d, m, 2)."""
+    heading_deg: FloatArray
+    """(d, m), clockwise from north: where a directional antenna points."""
     rss_dbm: FloatArray
     """(d, m), nan: listened and heard nothing."""
     saturated: np.ndarray
@@ -70,13 +73,14 @@ def stack(detections: Sequence[Detection]) -> Heard:
     """Detections of changing teams as arrays over all robots there were."""
     robots = tuple(sorted({robot for d in detections for robot in d.robots}))
     shape = (len(detections), len(robots))
-    place, rss = np.zeros((*shape, 2)), np.full(shape, np.nan)
+    place, heading, rss = np.zeros((*shape, 2)), np.zeros(shape), np.full(shape, np.nan)
     saturated, listened = np.zeros(shape, bool), np.zeros(shape, bool)
     for row, d in enumerate(detections):
         columns = [robots.index(robot) for robot in d.robots]
         place[row, columns], rss[row, columns] = d.position_m, d.rss_dbm
         saturated[row, columns], listened[row, columns] = d.saturated, True
-    return Heard(place, rss, saturated, listened, robots)
+        heading[row, columns] = d.heading_deg
+    return Heard(place, heading, rss, saturated, listened, robots)
 
 
 def log_likelihood(
@@ -103,12 +107,15 @@ def predicted(
     heard: Heard, antenna: Antenna, east_m: float, north_m: float, power_db: float, place_sigma_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """(d, m) mean and standard deviation of each reading, in dBm and dB, from a source there."""
-    range_m = np.maximum(
-        np.hypot(heard.place_m[..., 0] - east_m, heard.place_m[..., 1] - north_m), MIN_RANGE_M
-    )
+    way_m = np.array([east_m, north_m]) - heard.place_m
+    range_m = np.maximum(np.hypot(way_m[..., 0], way_m[..., 1]), MIN_RANGE_M)
     smear = 10.0 * antenna.path_loss_exponent / np.log(10.0) * place_sigma_m
     variance = antenna.sigma_db**2 + 1.0 / 12.0 + smear**2 / (range_m**2 + place_sigma_m**2)
-    return antenna.mean_rss_dbm(range_m, power_db), np.sqrt(variance)
+    mean = antenna.mean_rss_dbm(range_m, power_db)
+    if antenna.pattern_db:
+        off_front_deg = np.degrees(np.arctan2(way_m[..., 0], way_m[..., 1])) - heard.heading_deg
+        mean = mean + antenna.gain_db(off_front_deg, range_m)
+    return mean, np.sqrt(variance)
 
 
 def refine(

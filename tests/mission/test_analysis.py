@@ -1,9 +1,12 @@
 """Refinement and coverage after the fact, against laws and simulated truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fieldkit.antenna.model import Antenna
+from fieldkit.antenna.pattern import lobe_gain_db
 from fieldkit.messages import Detection, SourceEstimate
 from fieldkit.world.channel import sample_rss_dbm
 from mission.analysis.coverage import coverage
@@ -43,6 +46,36 @@ def test_two_sources_are_told_apart_and_placed_better_than_guessed():
         assert source.power_db == pytest.approx(true[2], abs=3.5 * source.power_sigma_db)
     first = np.arange(len(detections)) < 40
     assert refined[0].share[first].mean() > 0.9 and refined[0].share[~first].mean() < 0.1
+
+
+def test_with_a_directional_antenna_the_gain_towards_the_source_counts():
+    """One robot, as in RWA: readings from everywhere, the antenna pointing anywhere."""
+    gains = tuple(float(g) for g in lobe_gain_db(np.arange(360.0), 0.0, 4.0, -15.0))
+    beam = replace(ANTENNA, pattern_db=gains)
+    rng = np.random.default_rng(9)
+    truth = np.array([8.0, 11.0, 0.0])
+    detections = []
+    for k in range(80):
+        place, heading = rng.uniform(0.0, 20.0, (1, 2)), rng.uniform(0.0, 360.0, 1)
+        way = (truth[:2] - place)[0]
+        off = np.degrees(np.arctan2(*way)) - heading
+        rss = sample_rss_dbm(beam, np.hypot(*way)[None], 0.0, rng, off)
+        detections.append(Detection(k, ("a",), place, heading, rss, np.zeros(1, bool)))
+    found = {}
+    for name, antenna in (("beam", beam), ("round", ANTENNA)):
+        (found[name],) = refine(
+            detections,
+            [guess(1, 8.6, 10.3)],
+            antenna,
+            size_m=(20.0, 20.0),
+            levels_db=LEVELS,
+            place_sigma_m=0.01,
+        )
+    right = found["beam"]
+    assert np.hypot(right.east_m - 8.0, right.north_m - 11.0) < 3.5 * right.sigma_m * 2**0.5
+    assert right.sigma_m < 0.3 and right.power_db == pytest.approx(0.0, abs=3.5 * right.power_sigma_db)
+    assert found["round"].power_db < right.power_db - 3.0, "taken for one that hears the same all round"
+    assert model_fit(detections, [right], beam, 0.01).spread_db == pytest.approx(3.0, rel=0.25)
 
 
 def test_the_ninety_percent_ellipse_holds_the_truth_nine_times_in_ten():
