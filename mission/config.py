@@ -88,6 +88,8 @@ class EngineTable(_Table):
     pose_sigma_m: float = Field(default=0.05, ge=0)
     prior_rule: Literal["literal", "uniform", "dirichlet", "em"] = "em"
     sensing: Literal["levels", "pairwise", "directional"] = "levels"
+    directional_form: Literal["censored", "interval", "density", "truncated"] = "censored"
+    """`directional` sensing: how a reading's probability is written."""
     group_gap_m: float = Field(default=math.inf, gt=0)
     """`dprwa`: ridges further apart than this are toured in separate groups."""
     normalised_entropy: bool = False
@@ -371,6 +373,7 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         seed=file.seed,
         prior_rule=file.engine.prior_rule,
         sensing=file.engine.sensing,
+        directional_form=file.engine.directional_form,
         group_gap_m=file.engine.group_gap_m,
         normalised_entropy=file.engine.normalised_entropy,
     )

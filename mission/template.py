@@ -89,7 +89,7 @@ found_probability = {found_probability}      # of being within one cell of the e
 min_receptions = 4
 planning_period_s = {planning_period_s:.1f}
 pose_sigma_m = 0.05          # of each coordinate of the robots' positions
-# prior_rule, sensing, group_gap_m, normalised_entropy: for the papers' beliefs and planners, see docs/engine.md
+# prior_rule, sensing and more, for the papers' beliefs and planners: see docs/engine.md
 
 [association]
 window_s = {window_s}               # receptions this near are one transmission; 0.25 without synchronised clocks

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from fieldkit.antenna.model import Antenna
 from fieldkit.engine.grid import Grid
@@ -45,6 +46,8 @@ class EngineSettings:
     """SPOG only: literal, uniform, dirichlet or em (notes on PRWA eq 2)."""
     sensing: str = "levels"
     """levels (exact, power set known), pairwise (PRWA Theorem 1) or directional (RWA, one robot); for SPOG."""
+    directional_form: Literal["censored", "interval", "density", "truncated"] = "censored"
+    """For `directional` sensing: censored (ends of the scale open), or interval, density or truncated as printed."""
     group_gap_m: float = math.inf
     """DPRWA only: ridges further apart than this are toured in separate groups, each by pairs of its own."""
     normalised_entropy: bool = False

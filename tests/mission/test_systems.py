@@ -43,14 +43,22 @@ PAIRWISE: dict[str, str | float | bool] = {
     "sensing": "pairwise",
     "prior_rule": "dirichlet",
 }
+SINGLE: dict[str, str | float | bool] = {"belief": "spog", "sensing": "directional"}
 BASELINES = ("pair-random-walk", "random-walk", "pair-patrol", "patrol")
 SYSTEMS = [
     System("prwa", {**PAIRWISE, "planner": "prwa"}),
     System("prwa as printed", {**PAIRWISE, "planner": "prwa", "prior_rule": "literal"}),
     System("prwa, normalised", {**PAIRWISE, "planner": "prwa", "normalised_entropy": True}),
     System("prwa, an odd robot", {**PAIRWISE, "planner": "prwa"}, robots=3),
-    System("rwa", {"belief": "spog", "sensing": "directional", "planner": "rwa"}, 1, LOBE),
-    System("rwa-2009", {"belief": "spog", "sensing": "directional", "planner": "rwa"}, 1, DIPOLE),
+    System("rwa", {**SINGLE, "planner": "rwa"}, 1, LOBE),
+    *(
+        System(f"{name} {form}", {**SINGLE, "planner": "rwa", "directional_form": form}, 1, antenna)
+        for name, form, antenna in (
+            ("rwa", "interval", LOBE),
+            ("rwa", "density", LOBE),
+            ("rwa-2009", "truncated", DIPOLE),
+        )
+    ),
     System("rwa, three robots", {"belief": "spog", "planner": "rwa", "prior_rule": "em"}, 3),
     System("dprwa", {**PAIRWISE, "planner": "dprwa"}),
     System("dprwa in groups", {**PAIRWISE, "planner": "dprwa", "group_gap_m": 3.0}),

@@ -50,7 +50,11 @@ class SpogBelief:
         centres = self.grid.centres_m
         if settings.sensing == "directional":
             directional = DirectionalModel(
-                settings.antenna, settings.power_levels_db, centres, self.grid.cell_m / 2
+                settings.antenna,
+                settings.power_levels_db,
+                centres,
+                self.grid.cell_m / 2,
+                settings.directional_form,
             )
             self._likelihood: Callable[[Detection], FloatArray] = directional.log_likelihood
         elif settings.sensing == "pairwise":
