@@ -15,6 +15,7 @@ CELLS = 50
 MOMENTS = 600
 SEARCHED = 0.95
 """A place counts as searched where a source would have been heard at least once with this probability."""
+OFF_FRONT_DEG = np.arange(0.0, 360.0, 10.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,8 +94,13 @@ def coverage(
 
 
 def _p_hear(antenna: Antenna, range_m: FloatArray, level_db: float) -> FloatArray:
-    mean = antenna.mean_rss_dbm(range_m, level_db)
-    return (1.0 - PACKET_LOSS) * ndtr((mean - antenna.threshold_dbm - 0.5) / antenna.sigma_db)
+    """(k,) the probability of hearing at ranges (k,), averaged over where a directional antenna may point."""
+    gain_db = np.array(
+        [np.broadcast_to(antenna.gain_db(off, range_m), range_m.shape) for off in OFF_FRONT_DEG]
+    )
+    mean = antenna.mean_rss_dbm(range_m, level_db) + gain_db
+    heard = ndtr((mean - antenna.threshold_dbm - 0.5) / antenna.sigma_db)
+    return np.asarray((1.0 - PACKET_LOSS) * heard.mean(axis=0))
 
 
 def _where(track: FloatArray, t_s: float) -> tuple[float, float] | None:

@@ -139,3 +139,14 @@ def test_a_receiver_that_is_down_searches_nothing():
     assert cover(tracks, {"a": [(0.0, 600.0)]}).heard.max() == 0.0
     half = cover(tracks, {"a": [(300.0, 600.0)]}, rate_hz=0.002)
     assert half.heard[25, 25] < cover(tracks, rate_hz=0.002).heard[25, 25]
+
+
+def test_a_directional_antenna_covers_its_share_of_the_headings():
+    """A tenth of a turn heard, and the rest not: so is a tenth of the time beside it."""
+    tracks = still({"a": (50.0, 50.0)}, 100.0)
+    beam = replace(ANTENNA, pattern_db=tuple(np.where(np.arange(360) < 36, 0.0, -200.0)))
+    found = coverage(tracks, {}, beam, LEVELS, (100.0, 100.0), 0.02, 100.0)
+    exposure = -np.log(1.0 - found.heard[25, 25]) / -np.log(
+        1.0 - cover(tracks, rate_hz=0.02, duration_s=100.0).heard[25, 25]
+    )
+    assert exposure == pytest.approx(0.1, abs=0.02)
