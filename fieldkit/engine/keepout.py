@@ -51,6 +51,28 @@ class KeepOut:
         )
         return np.asarray((crossing & overlap).any(axis=1) | self.contains(end_m))
 
+    def distance_m(self, start_m: FloatArray, end_m: FloatArray) -> FloatArray:
+        """(k,) how near the straight way from start (k, 2) to end (k, 2) comes to a polygon; 0 where it touches one."""
+        if not self.polygons:
+            return np.full(len(start_m), np.inf)
+        a, b = self._edges
+        p, q = start_m[:, None, :], end_m[:, None, :]
+        each = [
+            _to_segment_m(p, a, b),
+            _to_segment_m(q, a, b),
+            _to_segment_m(a, p, q),
+            _to_segment_m(b, p, q),
+        ]
+        return np.where(self.blocks(start_m, end_m), 0.0, np.min(each, axis=(0, 2)))
+
+
+def _to_segment_m(point: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Distance of points from segments, broadcast over all but the last axis."""
+    along, off = end - start, point - start
+    share = (off * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-300)
+    rest = off - np.clip(share, 0.0, 1.0)[..., None] * along
+    return np.asarray(np.hypot(rest[..., 0], rest[..., 1]))
+
 
 def _side(origin: FloatArray, towards: FloatArray, point: FloatArray) -> FloatArray:
     """Sign of the turn from origin-towards to origin-point: which side the point lies on."""

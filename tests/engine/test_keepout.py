@@ -47,6 +47,21 @@ def test_ways_that_touch_are_blocked(start: tuple, end: tuple, blocked: bool) ->
     assert SQUARE.blocks(np.array([start], float), np.array([end], float))[0] == blocked
 
 
+@pytest.mark.parametrize(
+    ("start", "end", "distance"),
+    [
+        ((0, 0), (0, 10), 2.0),  # beside it
+        ((0, 0), (1, 1), 2**0.5),  # ends before a corner
+        ((3, 4), (4, 4), 0.0),
+        ((0, 4), (10, 4), 0.0),
+        ((8, 7), (7, 8), 2**0.5 * 1.5),  # a corner is nearest to the middle of the way
+        ((9, 4), (9, 4), 3.0),  # a place
+    ],
+)
+def test_how_near_a_way_comes(start: tuple, end: tuple, distance: float) -> None:
+    assert SQUARE.distance_m(np.array([start], float), np.array([end], float))[0] == pytest.approx(distance)
+
+
 def test_no_polygon_blocks_nothing() -> None:
     assert not KeepOut().blocks(np.zeros((3, 2)), np.ones((3, 2))).any()
 

@@ -14,7 +14,7 @@ from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.keepout import KeepOut, Polygon
 from fieldkit.engine.planning.base import Situation
-from fieldkit.engine.planning.detour import MOST_CELLS, Detours
+from fieldkit.engine.planning.detour import CLEARANCE_M, MOST_CELLS, Detours
 from fieldkit.engine.planning.dprwa import DprwaPlanner
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Plan
@@ -168,3 +168,25 @@ def test_large_fields_are_walked_on_larger_cells() -> None:
     assert not detours.keep_out.blocks(corners[:-1], corners[1:]).any()
     shortest = 2.0 * np.hypot(100.0, 350.0)
     assert np.hypot(*np.diff(corners, axis=0).T).sum() < 1.05 * shortest
+
+
+def test_ways_keep_off_the_shore_where_there_is_room_and_go_through_gaps_where_there_is_none() -> None:
+    pond = KeepOut((((8.0, 8.0), (14.0, 8.0), (14.0, 12.0), (8.0, 12.0)),))
+    start, end = np.array([5.0, 10.0]), np.array([18.0, 10.0])
+    way = Detours(Grid(25.0, 25.0, 0.5), pond).way(start, end)
+    assert way is not None
+    corners = np.concatenate([start[None], way])
+    assert pond.distance_m(corners[:-1], corners[1:]).min() >= CLEARANCE_M - 1e-6
+    gap = KeepOut(
+        (
+            ((10.0, -1.0), (11.0, -1.0), (11.0, 9.8), (10.0, 9.8)),
+            ((10.0, 10.1), (11.0, 10.1), (11.0, 26.0), (10.0, 26.0)),
+        )
+    )
+    through = Detours(Grid(15.0, 15.0, 0.2), gap).way(np.array([5.0, 3.0]), np.array([14.0, 10.0]))
+    assert through is not None
+    corners = np.concatenate([[[5.0, 3.0]], through])
+    assert not gap.blocks(corners[:-1], corners[1:]).any()
+    near = np.array([7.9, 10.0])  # a goal nearer to the shore than that is driven to all the same
+    straight = Detours(Grid(25.0, 25.0, 0.5), pond).way(start, near)
+    assert straight is not None and straight[-1].tolist() == near.tolist()

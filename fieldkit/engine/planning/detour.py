@@ -1,22 +1,24 @@
 """Shortest ways round ground that must not be entered (RWA section VI.D: non-traversable cells).
 
 On the grid: 8-connected cells whose centres are free and whose steps cross nothing, Dijkstra by scipy; corners that
-can be cut without crossing anything are cut. Large fields are walked on larger cells.
+can be cut without crossing anything are cut. Large fields are walked on larger cells. Where there is room, ways keep
+`CLEARANCE_M` off: a robot counts as arrived a little before a corner, and then cuts it.
 """
 
 import math
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.keepout import KeepOut
 from fieldkit.messages import FloatArray
 
-MOST_CELLS = 40_000
+CLEARANCE_M = 0.25
+MOST_CELLS = 10_000
 NEAREST = 25
 """Cells tried for the first and the last step of a way."""
 
@@ -28,25 +30,20 @@ class Detours:
         coarser = max(1.0, math.sqrt(grid.n_cells / MOST_CELLS))
         self.grid = Grid(grid.size_east_m, grid.size_north_m, grid.cell_m * coarser) if coarser > 1 else grid
         self.keep_out, self.margin_m = keep_out, margin_m
+        self._meshes: dict[float, _Mesh] = {}
 
     def way(self, start_m: FloatArray, end_m: FloatArray) -> FloatArray | None:
         """(k, 2) corners from `start_m` (left out) to `end_m`; None where no way leads there."""
-        if not self.keep_out.polygons or not self.keep_out.blocks(start_m[None], end_m[None])[0]:
+        if not self.keep_out.polygons:
             return end_m[None].copy()
         if self.keep_out.contains(end_m[None])[0]:
             return None
-        source, target = self._nearest_free(start_m), self._nearest_free(end_m)
-        if source is None or target is None:
-            return None
-        _, before = dijkstra(self._graph, indices=source, return_predecessors=True)
-        cells = [target]
-        while cells[-1] != source:
-            previous = int(before[cells[-1]])
-            if previous < 0:
-                return None
-            cells.append(previous)
-        centres = self.grid.centres_m[cells[::-1]]
-        return self._cut_corners(np.concatenate([start_m[None], centres, end_m[None]]))
+        for clearance_m in (CLEARANCE_M, 0.0):  # the second where it is too narrow for the first
+            if self._open(start_m[None], end_m[None], clearance_m)[0]:
+                return end_m[None].copy()
+            if (way := self._round(start_m, end_m, clearance_m)) is not None:
+                return way
+        return None
 
     def ways(self, places_m: FloatArray, start_m: FloatArray) -> FloatArray:
         """Places (legs, m, 2) of m robots from `start_m` (m, 2), with the corners of detours put in between.
@@ -88,63 +85,93 @@ class Detours:
 
     def nearest(self, place_m: FloatArray) -> FloatArray:
         """(2,) the middle of the free cell nearest to a place; the place itself where no cell is free."""
-        if len(self._free) == 0:
-            return place_m
-        return np.asarray(self._free_m[np.argmin(np.hypot(*(self._free_m - place_m).T))])
+        for clearance_m in (CLEARANCE_M, 0.0):
+            centres = self.grid.centres_m[self._mesh(clearance_m).free]
+            if len(centres):
+                return np.asarray(centres[np.argmin(np.hypot(*(centres - place_m).T))])
+        return place_m
 
-    def _nearest_free(self, place_m: FloatArray) -> int | None:
-        """The nearest cell on some way that can be reached from the place in a straight line."""
-        cells = self._free[np.argsort(np.hypot(*(self._free_m - place_m).T), kind="stable")[:NEAREST]]
+    def _open(self, start_m: FloatArray, end_m: FloatArray, clearance_m: float) -> NDArray[np.bool_]:
+        """(k,) whether straight ways (k, 2) touch nothing and come no nearer than the clearance, or than their ends."""
+        if clearance_m <= 0.0:
+            return ~self.keep_out.blocks(start_m, end_m)
+        ends = [self.keep_out.distance_m(place, place) for place in (start_m, end_m)]
+        least = np.minimum(clearance_m, np.minimum(*ends)) - 1e-9
+        return ~self.keep_out.blocks(start_m, end_m) & (self.keep_out.distance_m(start_m, end_m) >= least)
+
+    def _round(self, start_m: FloatArray, end_m: FloatArray, clearance_m: float) -> FloatArray | None:
+        mesh = self._mesh(clearance_m)
+        source = self._first_cell(start_m, mesh, clearance_m)
+        target = self._first_cell(end_m, mesh, clearance_m)
+        if source is None or target is None:
+            return None
+        _, before = dijkstra(mesh.graph, indices=source, return_predecessors=True)
+        cells = [target]
+        while cells[-1] != source:
+            previous = int(before[cells[-1]])
+            if previous < 0:
+                return None
+            cells.append(previous)
+        centres = self.grid.centres_m[cells[::-1]]
+        return self._cut_corners(np.concatenate([start_m[None], centres, end_m[None]]), clearance_m)
+
+    def _first_cell(self, place_m: FloatArray, mesh: "_Mesh", clearance_m: float) -> int | None:
+        """The nearest free cell that can be reached from the place in a straight line."""
+        away = np.hypot(*(self.grid.centres_m[mesh.free] - place_m).T)
+        cells = mesh.free[np.argsort(away, kind="stable")[:NEAREST]]
         centres = self.grid.centres_m[cells]
-        blocked = self.keep_out.blocks(np.repeat(place_m[None], len(cells), axis=0), centres)
-        return None if len(cells) == 0 or blocked.all() else int(cells[np.argmin(blocked)])
+        free = self._open(np.repeat(place_m[None], len(cells), axis=0), centres, clearance_m)
+        return int(cells[np.argmax(free)]) if free.any() else None
 
-    def _cut_corners(self, corners_m: FloatArray) -> FloatArray:
+    def _cut_corners(self, corners_m: FloatArray, clearance_m: float) -> FloatArray:
         kept, at = [], 0
         while at < len(corners_m) - 1:
             ahead = np.arange(len(corners_m) - 1, at, -1)
-            blocked: NDArray[np.bool_] = self.keep_out.blocks(
-                np.repeat(corners_m[at][None], len(ahead), axis=0), corners_m[ahead]
-            )
-            free = ahead[~blocked]
+            here = np.repeat(corners_m[at][None], len(ahead), axis=0)
+            free = ahead[self._open(here, corners_m[ahead], clearance_m)]
             at = int(free[0]) if len(free) else at + 1
             kept.append(corners_m[at])
         return np.array(kept)
 
-    @cached_property
-    def _free(self) -> NDArray[np.intp]:
-        """Cells a robot may stand in the middle of."""
-        east, north = self.grid.centres_m.T
-        low, high_east = self.margin_m, self.grid.size_east_m - self.margin_m
-        inside = (low <= east) & (east <= high_east)
-        inside &= (low <= north) & (north <= self.grid.size_north_m - self.margin_m)
-        return np.flatnonzero(inside & ~self.keep_out.contains(self.grid.centres_m))
+    def _mesh(self, clearance_m: float) -> "_Mesh":
+        if clearance_m not in self._meshes:
+            self._meshes[clearance_m] = self._make_mesh(clearance_m)
+        return self._meshes[clearance_m]
 
-    @cached_property
-    def _free_m(self) -> FloatArray:
-        return self.grid.centres_m[self._free]
-
-    @cached_property
-    def _graph(self) -> coo_matrix:
-        """Distances between free cells that are neighbours."""
+    def _make_mesh(self, clearance_m: float) -> "_Mesh":
         grid, centres = self.grid, self.grid.centres_m
+        high = np.array([grid.size_east_m, grid.size_north_m]) - self.margin_m
+        usable = ((self.margin_m <= centres) & (centres <= high)).all(axis=1)
+        away_m = self.keep_out.distance_m(centres, centres)
+        usable &= (away_m > 0.0) & (away_m >= clearance_m)
         index = np.arange(grid.n_cells).reshape(grid.shape)
-        usable = np.zeros(grid.n_cells, dtype=bool)
-        usable[self._free] = True
         rows, columns, lengths = [], [], []
         for dn, de in ((0, 1), (1, 0), (1, 1), (1, -1)):
             a = index[: grid.n_north - dn, max(0, -de) : grid.n_east - max(0, de)].ravel()
             b = index[dn:, max(0, de) : grid.n_east + min(0, de)].ravel()
             both = usable[a] & usable[b]
             a, b = a[both], b[both]
-            free = ~self.keep_out.blocks(centres[a], centres[b])
+            step_m = grid.cell_m * np.hypot(dn, de)
+            free = (
+                away_m[a] + away_m[b] > 2.0 * clearance_m + step_m
+            )  # so far off that nothing need be looked at
+            free[~free] = self._open(centres[a[~free]], centres[b[~free]], clearance_m)
             rows.append(a[free])
             columns.append(b[free])
-            lengths.append(np.full(int(free.sum()), grid.cell_m * np.hypot(dn, de)))
+            lengths.append(np.full(int(free.sum()), step_m))
         row, column, length = np.concatenate(rows), np.concatenate(columns), np.concatenate(lengths)
         there_and_back = (np.concatenate([row, column]), np.concatenate([column, row]))
         size = (grid.n_cells, grid.n_cells)
-        return coo_matrix((np.concatenate([length, length]), there_and_back), shape=size).tocsr()
+        graph = coo_matrix((np.concatenate([length, length]), there_and_back), shape=size).tocsr()
+        return _Mesh(np.flatnonzero(usable), graph)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mesh:
+    """Cells one may stand in the middle of, and the distances between those that are neighbours."""
+
+    free: NDArray[np.intp]
+    graph: csr_matrix
 
 
 def shares_of_length(corners_m: FloatArray) -> FloatArray:
