@@ -110,6 +110,8 @@ class EndTable(_Table):
     max_duration_s: float = Field(default=3600.0, gt=0)
     sources_found: int | None = Field(default=None, ge=1)
     probability_left: float | None = Field(default=None, gt=0, lt=1)
+    periods_without_find: int | None = Field(default=None, ge=1)
+    """Planning periods in a row in which nothing more was found: the papers' k_max."""
 
 
 class RecordingTable(_Table):
@@ -390,6 +392,7 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         battery_pct_per_m=file.safety.battery_pct_per_m,
         sources_expected=file.end.sources_found,
         stop_probability_left=file.end.probability_left,
+        stop_after_periods=file.end.periods_without_find,
     )
     safety = SafetySettings(
         robots=engine.robots,

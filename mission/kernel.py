@@ -52,6 +52,8 @@ class KernelSettings:
     """End when this many are found; None where nobody knows."""
     stop_probability_left: float | None = None
     """End when the probability that a source is left falls below this."""
+    stop_after_periods: int | None = None
+    """End when nothing more was found in so many planning periods in a row: k_max of RWA and PRWA's Algorithm 2."""
     deaf_limit_s: float = 10.0
     """A robot whose radio is down for longer is not planned for: its team goes on without it."""
     battery_reserve_pct: float = 25.0
@@ -321,6 +323,11 @@ class Kernel:
         wanted = self.settings.sources_expected
         if wanted is not None and len(self.found_at_s) >= wanted:
             return f"all {wanted} expected sources are found"
+        periods = self.settings.stop_after_periods
+        if periods is not None:
+            latest_s = max(self.found_at_s.values(), default=0.0)
+            if self.elapsed_s(now_ns) - latest_s >= periods * self.settings.engine.planning_period_s:
+                return f"nothing more was found in {periods} planning periods"
         limit = self.settings.stop_probability_left
         if limit is None or not (detections or self._next_plan_ns is None or now_ns >= self._next_plan_ns):
             return ""  # it changes slowly and costs a look at the whole field

@@ -98,6 +98,7 @@ window_s = {window_s}               # receptions this near are one transmission;
 max_duration_s = {max_duration_s:.1f}
 {found}            # where the number is known
 {left}      # or: the probability that one is still unfound
+# periods_without_find = 20  # or: so many planning periods in a row without another find (the papers' k_max)
 
 # [recording]
 # raw = true                 # keep every byte that came from the radios too

@@ -85,6 +85,17 @@ def test_time_up_ends_the_mission_once(settings: KernelSettings) -> None:
     assert kernel.step(Tick(12 * S)).commands == ()
 
 
+def test_so_many_periods_without_another_find_end_the_mission(settings: KernelSettings) -> None:
+    """RWA and PRWA stop after k_max periods in a row in which no additional source was found."""
+    kernel = started(replace(settings, stop_after_periods=3, max_duration_s=1e6))
+    period = round(settings.engine.planning_period_s)
+    kernel.step(Tick(0))
+    kernel.found_at_s[1] = 2.0 * period  # a find begins the count anew
+    assert not [c for c in kernel.step(Tick((5 * period - 1) * S)).commands if isinstance(c, EndMission)]
+    (end,) = [c for c in kernel.step(Tick(5 * period * S)).commands if isinstance(c, EndMission)]
+    assert "3 planning periods" in end.reason
+
+
 def test_events_of_strangers_change_nothing(settings: KernelSettings) -> None:
     kernel, other = started(settings), started(settings)
     kernel.step(RssReading(S, "stranger", -60.0))
