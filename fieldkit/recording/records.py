@@ -52,6 +52,9 @@ _DAMAGE = (
     zstandard.ZstdError,
 )
 
+_INDEX_BLOCK = 4096
+"""Read at once behind a chunk, to pass over its indexes."""
+
 
 class _BadChunk(ValueError):
     """A chunk whose bytes are not what was written; `end` is where it says it ends."""
@@ -170,8 +173,8 @@ def _record(
     end = position + _HEAD_SIZE + length
     if end > size:
         raise EOFError
-    if opcode == _INDEX:  # most records are
-        return end, None
+    if opcode == _INDEX:  # most records are, many in a row
+        return end + _indexes(stream.read(_INDEX_BLOCK)[length:], size - end), None
     if opcode == Opcode.CHUNK:
         body = stream.read(length)
         try:
@@ -183,6 +186,18 @@ def _record(
     elif opcode not in _SKIPPED:
         raise ValueError(f"unknown record {opcode}")
     return end, None
+
+
+def _indexes(block: bytes, left: int) -> int:
+    """How many bytes of whole index records `block` begins with, of at most `left`."""
+    at = 0
+    while at + _HEAD_SIZE <= len(block):
+        opcode, length = _HEAD.unpack_from(block, at)
+        following = at + _HEAD_SIZE + length
+        if opcode != _INDEX or following > left:
+            break
+        at = following
+    return at
 
 
 def _after(stream: BinaryIO, error: Exception, size: int) -> int | None:
