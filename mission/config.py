@@ -84,7 +84,7 @@ class EngineTable(_Table):
     planner: str = "infogain"
     found_probability: float = Field(default=0.9, gt=0, lt=1)
     min_receptions: float = Field(default=3.0, gt=0)
-    planning_period_s: float = Field(default=30.0, gt=0)
+    planning_period_s: float = Field(default=20.0, gt=0)
     pose_sigma_m: float = Field(default=0.05, ge=0)
     prior_rule: Literal["literal", "uniform", "dirichlet", "em"] = "em"
     sensing: Literal["levels", "pairwise", "directional"] = "levels"

@@ -67,6 +67,10 @@ class KernelSettings:
 MOST_AT_ONCE = 5
 """Transmissions taken in at one tick: a step that takes seconds would leave nobody at the helm."""
 MOST_WAITING = 200
+NEWS_RANGES = 1.5
+"""Within so many nominal ranges of the loudest source, what a robot hears may be from a source not found yet."""
+NEWS_EVERY_S = 5.0
+"""A team is not planned for anew more often on what it hears."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,9 +264,41 @@ class Kernel:
         if reason := self._finished(now_ns, bool(detections)):
             ended = self._end(now_ns, reason)
             return Outcome(ended.commands, tuple(detections), None, (*notes, *ended.notes))
+        self._unplanned.update(self._with_news(now_ns, teams, detections))
         plan = self._plan(now_ns, self._to_plan(now_ns, teams, found_more))
         commands = self._follow(now_ns)
         return Outcome(tuple(commands), tuple(detections), plan, tuple(notes))
+
+    def _with_news(
+        self, now_ns: int, teams: tuple[tuple[str, ...], ...], detections: list[Detection]
+    ) -> tuple[tuple[str, ...], ...]:
+        """Teams that have just heard something near a source not found yet, and should stay rather than drive on.
+
+        A planner that plans for all at once is not asked for the sake of one team.
+        """
+        if not detections or not self._team_by_team:
+            return ()
+        open_m = [(s.east_m, s.north_m) for s in self.sources() if s.state in ("candidate", "doubtful")]
+        engine = self.settings.engine
+        reach_m = NEWS_RANGES * float(engine.antenna.nominal_range_m(max(engine.power_levels_db)))
+        heard_by = {
+            robot
+            for detection in detections
+            for robot, heard, place_m in zip(
+                detection.robots, detection.heard, detection.position_m, strict=True
+            )
+            if heard and any(np.hypot(*(place_m - source_m)) <= reach_m for source_m in open_m)
+        }
+        latest_ns = now_ns - round(NEWS_EVERY_S * 1e9)
+        return tuple(
+            team
+            for team in teams
+            if heard_by.intersection(team) and self._planned_ns.get(team, 0) <= latest_ns
+        )
+
+    @property
+    def _team_by_team(self) -> bool:
+        return bool(getattr(self.planner, "TEAM_BY_TEAM", False))
 
     def _to_plan(
         self, now_ns: int, teams: tuple[tuple[str, ...], ...], found_more: bool
@@ -277,7 +313,7 @@ class Kernel:
             self._unplanned = set(teams)
         self._unplanned.update(team for team in teams if team not in self._errands)
         waiting = sorted(self._unplanned.intersection(teams), key=lambda t: (self._planned_ns.get(t, 0), t))
-        if getattr(self.planner, "TEAM_BY_TEAM", False):
+        if self._team_by_team:
             waiting = waiting[:1]
         self._unplanned.difference_update(waiting)
         self._planned_ns.update(dict.fromkeys(waiting, now_ns))

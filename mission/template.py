@@ -33,7 +33,7 @@ def mission_text(
     power_levels_db: Sequence[float] = (-8.0, -6.0, -4.0, -2.0, 0.0),
     rate_hz: float = 0.05,
     expected: float = 4.0,
-    planning_period_s: float = 30.0,
+    planning_period_s: float = 20.0,
     window_s: float = 0.1,
     found_probability: float = 0.9,
     max_duration_s: float = 3600.0,

@@ -285,6 +285,25 @@ def track(
 
 
 @njit(cache=True, nogil=True)
+def meets(one: FloatArray, others: FloatArray, separation: float) -> bool:
+    """Whether a robot of track `one` (steps, m, 2) comes nearer to one of `others` (steps, k, 2) than `separation`.
+
+    Two that begin nearer than that must not come nearer still. The shorter track sets how long is looked at.
+    """
+    steps = min(one.shape[0], others.shape[0])
+    for p in range(one.shape[1]):
+        for q in range(others.shape[1]):
+            begin = math.hypot(one[0, p, 0] - others[0, q, 0], one[0, p, 1] - others[0, q, 1])
+            least = max(min(separation, begin - 1e-6), 0.0)
+            for t in range(1, steps):
+                de = one[t, p, 0] - others[t, q, 0]
+                dn = one[t, p, 1] - others[t, q, 1]
+                if de * de + dn * dn < least * least:
+                    return True
+    return False
+
+
+@njit(cache=True, nogil=True)
 def path_information(
     track: FloatArray,
     dt: float,

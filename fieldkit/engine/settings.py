@@ -29,7 +29,7 @@ class EngineSettings:
     """Transmission rate of a typical source; a source that sends more rarely takes longer to be noticed."""
     expected_sources: float = 4.0
     """Prior mean of the number of sources in the whole field."""
-    planning_period_s: float = 30.0
+    planning_period_s: float = 20.0
     max_speed_m_s: float = 0.4
     max_turn_deg_s: float = 90.0
     """How fast a robot turns on the spot at the corners of its path."""

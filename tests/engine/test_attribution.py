@@ -158,3 +158,14 @@ def test_a_team_is_on_its_way_where_plain_numpy_says(seed: int, robots: int, leg
     out = np.empty((30, robots, 2))
     kernels.track(places, start, 0.4, 1.5, 1.5, out)
     assert out == pytest.approx(plain_track(places, start, 0.4, 1.5, 30, 1.5), abs=1e-9)
+
+
+@budget(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), robots=st.integers(1, 3), others=st.integers(1, 4))
+def test_tracks_meet_where_plain_numpy_says(seed: int, robots: int, others: int) -> None:
+    rng = np.random.default_rng(seed)
+    one, other = rng.uniform(0, 4, (5, robots, 2)), rng.uniform(0, 4, (5, others, 2))
+    gaps = np.hypot(*np.moveaxis(one[:, :, None] - other[:, None, :], -1, 0))
+    separation = float(rng.uniform(0.05, 1.5))
+    expected = bool((gaps[1:] < np.minimum(separation, gaps[0] - 1e-6)).any())
+    assert kernels.meets(one, other, separation) == expected

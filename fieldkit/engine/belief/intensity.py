@@ -21,6 +21,8 @@ from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
 
 WITHDRAW = 0.75
 """A find is withdrawn when the probability of its place falls below this share of the threshold."""
+SETTLED = 0.995
+"""A find that is so probably within one cell of its place needs no further look."""
 MAX_SQUARED_RESIDUAL = 2.5
 """Mean squared standardised residual above which readings do not look like what the antenna file predicts."""
 
@@ -39,6 +41,7 @@ class Unresolved:
     receptions: float
     p_here: float
     state: str
+    may_be_two: bool
 
 
 class IntensityBelief:
@@ -236,17 +239,20 @@ class IntensityBelief:
         return np.minimum(self.mixture.another_source().sum(axis=0), 0.5)
 
     def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
-        """Candidates not found, or that may be two sources, each with samples of where and how strong it may be."""
+        """What is worth another look: candidates not found, finds that may be two sources or lie a cell off.
+
+        Each with samples of where and how strong it may be.
+        """
         result = []
         for candidate in self.candidates:
             rival = candidate.rival if candidate.rival is not None and candidate.rival.undecided else None
-            if candidate.state == "found" and rival is None:
+            summary = self.mixture.summary(candidate)
+            if candidate.state == "found" and rival is None and summary.p_here >= SETTLED:
                 continue
             posterior = candidate.posterior()
             picks = rng.choice(posterior.size, size=samples, p=posterior.ravel() / posterior.sum())
             hypothesis, point = np.divmod(picks, posterior.shape[1])
             level = np.where(hypothesis < self.model.power_db.size, hypothesis, self.model.n_known // 2)
-            summary = self.mixture.summary(candidate)
             places, cov = candidate.points_m[point].copy(), summary.cov_m2
             if rival is not None:
                 two = round(samples * rival.probability)
@@ -263,6 +269,7 @@ class IntensityBelief:
                     candidate.receptions,
                     summary.p_here,
                     candidate.state,
+                    rival is not None,
                 )
             )
         return result

@@ -24,8 +24,10 @@ UNDECIDED_NATS = -3.0
 """Evidence of the best story of two over that of one from which on somebody has to go and see."""
 PLACE_ROUNDS = 6
 """Turns in which one of two places is chosen anew given the other."""
-PLACE_DETECTIONS = 60
-"""So many detections, at most, choose the places."""
+TOLD_DETECTIONS = 40
+"""From twice as many on, only every second detection of a candidate is told, and so on."""
+TOLD_CELLS = 12
+"""No source is sought further than this from where a candidate is."""
 BETTER_NATS = 1.0
 """Evidence by which another story must be better."""
 
@@ -37,15 +39,18 @@ def revise(mixture: "Mixture") -> bool:
     near sources together. A doubtful candidate is looked at again soon, others ever more rarely. One
     and two are compared on a point a cell; the better story is then told on the usual points.
     """
-    changed = False
+    changed = told = False
     for candidate in list(mixture.candidates):
         due = mixture.revise_at.setdefault(candidate.ident, FIRST)
         count = candidate.receptions
         if count < due or candidate.absorbed > 0.0:
             continue
+        if told:  # one a look: the others wait for the next
+            break
+        told = True
         doubtful = candidate.state == "doubtful"
         mixture.revise_at[candidate.ident] = max(count + 0.9, (1.1 if doubtful else 1.4) * count)
-        share = {number: share for number, share in candidate.share.items() if share > 0.05}
+        share = _told(candidate)
         blank = _fresh(mixture, candidate, share, spacing=1.0)
         single = blank.copy()
         single.set_shares(list(share), list(share.values()))
@@ -78,6 +83,12 @@ def revise(mixture: "Mixture") -> bool:
     return changed
 
 
+def _told(candidate: Candidate) -> dict[int, float]:
+    """The detections of which a story is told, with their shares: of very many some, evenly over time."""
+    claimed = [(number, share) for number, share in candidate.share.items() if share > 0.05]
+    return dict(claimed[:: max(1, len(claimed) // TOLD_DETECTIONS)])
+
+
 def _mean(candidate: Candidate) -> FloatArray:
     return np.asarray(candidate.posterior().sum(axis=0) @ candidate.points_m)
 
@@ -93,7 +104,7 @@ def _fresh(
 ) -> Candidate:
     """An empty candidate whose cloud covers wherever the given detections may have come from."""
     centre = mixture.summary(candidate).mean_m
-    half = 0.75 * mixture.model.reach_m
+    half = min(0.75 * mixture.model.reach_m, TOLD_CELLS * mixture.grid.cell_m)
     row0, row1, column0, column1 = mixture.grid.box_around(centre[None, :], half)
     fresh = mixture.new_candidate((column0, column1), (row0, row1), spacing=spacing)
     for number in share:
@@ -137,11 +148,10 @@ def _best_two_places(mixture: "Mixture", blank: Candidate, share: dict[int, floa
     known = mixture.model.n_known
     logs = np.array([blank.logs[number][:known].ravel() for number in share])
     weight = np.array(list(share.values()))
-    every = -(-len(share) // PLACE_DETECTIONS)
-    like = np.exp(logs[::every] - logs[::every].max(axis=1, keepdims=True)) + 1e-12
-    first = second = int(np.argmax(weight[::every] @ np.log(like)))
+    like = np.exp(logs - logs.max(axis=1, keepdims=True)) + 1e-12
+    first = second = int(np.argmax(weight @ np.log(like)))
     for _ in range(PLACE_ROUNDS):
-        first, second = second, int(np.argmax(weight[::every] @ np.log(like + like[:, second, None])))
+        first, second = second, int(np.argmax(weight @ np.log(like + like[:, second, None])))
     return np.asarray(logs[:, first] > logs[:, second])
 
 
