@@ -14,6 +14,7 @@ import asyncio
 import contextlib
 import logging
 import signal
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -56,6 +57,7 @@ logger = logging.getLogger(__name__)
 
 TICK_S = 0.5
 DUE_SLACK_S = 0.002
+"""Receptions this near to each other are looked at together."""
 READY_TIMEOUT_S = 60.0
 
 
@@ -92,11 +94,13 @@ class Runner:
     def __post_init__(self) -> None:
         self.kernel = Kernel(self.mission.kernel)
         self.safety = Safety(self.mission.safety)
-        self._inbox: asyncio.Queue[tuple[int, int, Event]] = asyncio.Queue()
+        self._inbox: asyncio.Queue[tuple[int, int, Event] | BaseException] = asyncio.Queue()
         self._number = 0
         self._stepped = 0
         self._tick_waits = False
-        self._tick_is_due = False
+        self._due_s: deque[float] = deque()
+        """Event loop's times at which a reception can be looked at, in order."""
+        self._due_timer: asyncio.TimerHandle | None = None
         self.journal = Journal(
             self.kernel, self.mission.kernel.engine.grid.cell_m, self.recorder, *self.followers
         )
@@ -137,25 +141,25 @@ class Runner:
             if self._resumed_ns:
                 self._interrupted()
             tasks.append(asyncio.create_task(self._start(), name="start"))
+            for task in tasks:
+                task.add_done_callback(self._over)
             with self._interruptible():
                 while not self.end_reason:
-                    await self._step(*await self._next(tasks), pool)
+                    await self._step(*await self._next(), pool)
             await self._finish(clock.now_ns())
         return self.end_reason
 
-    async def _next(self, tasks: list[asyncio.Task[Any]]) -> tuple[int, int, Event]:
+    async def _next(self) -> tuple[int, int, Event]:
         """What comes next out of the inbox. Raises what one of the tasks has raised."""
-        get = asyncio.create_task(self._inbox.get())
-        try:
-            while not get.done():
-                done, _ = await asyncio.wait({get, *tasks}, return_when=asyncio.FIRST_COMPLETED)
-                for task in done - {get}:
-                    tasks.remove(task)
-                    if not task.cancelled() and (error := task.exception()) is not None:
-                        raise error
-            return get.result()
-        finally:
-            get.cancel()
+        came = await self._inbox.get()
+        if isinstance(came, BaseException):
+            raise came
+        return came
+
+    def _over(self, task: asyncio.Task[Any]) -> None:
+        """What ended a task goes through the inbox: waiting for all tasks at every event would cost more than it."""
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._inbox.put_nowait(error)
 
     # -- what comes in ---------------------------------------------------------------------------------------
 
@@ -174,16 +178,41 @@ class Runner:
     def _tick_when_due(self) -> None:
         """Where receptions are joined quickly, look as soon as this one can be: not at the next regular tick."""
         settings = self.mission.kernel
-        due_s = settings.association_window_s + settings.association_lateness_s + DUE_SLACK_S
-        if due_s < TICK_S and not self._tick_is_due:
-            self._tick_is_due = True
-            asyncio.get_running_loop().call_later(due_s / self.rig.clock.rate, self._tick_now)
+        wait_s = settings.association_window_s + settings.association_lateness_s
+        if wait_s >= TICK_S:
+            return
+        now_s = asyncio.get_running_loop().time()
+        if not self._due_s or now_s + wait_s / self.rig.clock.rate > self._due_s[-1]:
+            self._due_s.append(now_s + (wait_s + DUE_SLACK_S) / self.rig.clock.rate)
+            self._tick_if_due()
 
-    def _tick_now(self) -> None:
-        self._tick_is_due = False
-        if self.kernel.started_ns is not None and not self._tick_waits:
-            self._tick_waits = True
-            self.put(Tick(self.rig.clock.now_ns()))
+    def _tick_if_due(self) -> None:
+        """Look if something can be looked at, and see to it that this is asked again when the next can be.
+
+        Not while a tick waits already: its time may be too early for what came meanwhile.
+        """
+        if self._due_timer is not None:
+            self._due_timer.cancel()
+            self._due_timer = None
+        if not self._due_s or self._tick_waits:
+            return
+        loop = asyncio.get_running_loop()
+        if self._due_s[0] > loop.time():
+            self._due_timer = loop.call_at(self._due_s[0], self._tick_if_due)
+        elif self.kernel.started_ns is None:
+            self._due_s.clear()
+        else:
+            self._tick()
+
+    def _tick(self) -> None:
+        """A tick into the inbox, unless one waits there."""
+        if self._tick_waits:
+            return
+        self._tick_waits = True
+        now_s = asyncio.get_running_loop().time()
+        while self._due_s and self._due_s[0] <= now_s:
+            self._due_s.popleft()
+        self.put(Tick(self.rig.clock.now_ns()))
 
     def _meant(self, event: Operator) -> list[str]:
         return [robot for robot in self.helm.link_of if event.robot in (None, robot)]
@@ -229,9 +258,7 @@ class Runner:
         async with self.helm.beating():
             await self._take_over()
         while True:
-            if not self._tick_waits:
-                self._tick_waits = True
-                self.put(Tick(self.rig.clock.now_ns()))
+            self._tick()
             await self.rig.clock.sleep(TICK_S)
 
     @contextlib.contextmanager
@@ -266,6 +293,7 @@ class Runner:
         self._stepped = number
         if isinstance(event, Tick):
             self._tick_waits = False
+            self._tick_if_due()
             self.helm.beat()
             outcome = await self._think(event, pool)
         else:

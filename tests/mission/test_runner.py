@@ -133,6 +133,31 @@ def test_a_position_source_takes_the_place_of_telemetry(tmp_path: Path) -> None:
     assert {p.origin for p in poses if p.robot == "r2"} == {"sim"}
 
 
+def test_every_reception_is_looked_at_as_soon_as_it_can_be(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path, duration_s=40.0)
+    quick = replace(mission.kernel, association_window_s=0.01, association_lateness_s=0.01)
+    mission = replace(mission, kernel=quick)
+    rig = rig_for(mission)
+
+    async def hear(after_s: float) -> None:
+        await rig.clock.sleep(after_s)
+        rig.receivers[0].hear(-64.0)  # type: ignore[attr-defined]
+
+    async def go() -> None:
+        async with asyncio.TaskGroup() as group:
+            # The second comes while the first is still waited for, the third after that.
+            for k in range(20):
+                for apart_s in (0.0, 0.015, 0.04):
+                    group.create_task(hear(5.037 + 1.571 * k + apart_s))
+            group.create_task(Runner(mission, rig, recorder).run())
+
+    with RecordingWriter(tmp_path / "log.mcap") as recorder:
+        jumploop.run(go())
+    looked = list(open_recording(tmp_path / "log.mcap").detections())
+    assert len(looked) == 60
+    assert max(log_ns - detection.t_ns for _, log_ns, detection in looked) <= 23_000_000
+
+
 def test_silent_vehicles_are_named_before_anything_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
