@@ -11,6 +11,8 @@ from mission.page.view import View
 
 Messages = list[tuple[str, str]]
 """(slot in a mailbox, text)."""
+FRAME_NS = 400_000_000
+"""Frames are no nearer to each other, in mission time: ticks are, where receptions are looked at as they come."""
 
 
 class LiveShow:
@@ -21,6 +23,7 @@ class LiveShow:
         self.page: Page | None = None
         self._mailboxes: list[Mailbox] = []
         self._newcomers: deque[Mailbox] = deque()
+        self._shown_ns = -FRAME_NS
         self._hello = json.dumps(view.hello() | {"live": True})
 
     # -- the server's thread ---------------------------------------------------------------------------------
@@ -53,7 +56,8 @@ class LiveShow:
 
     def event(self, inbox_number: int, log_time_ns: int, event: Event) -> None:
         self.view.event(inbox_number, log_time_ns, event)
-        if isinstance(event, Tick):
+        if isinstance(event, Tick) and abs(log_time_ns - self._shown_ns) >= FRAME_NS:
+            self._shown_ns = log_time_ns
             self.publish()
 
     def publish(self) -> None:

@@ -8,6 +8,7 @@ import pytest
 from fieldkit.messages import CallOperator, Operator, Pose, ReceiverState, SourceEstimate, Tick, VehicleState
 from mission.keyboard import meaning
 from mission.page.exposure import Exposure
+from mission.page.live import LiveShow
 from mission.page.server import NEWS_WAITING, Mailbox, checked_command, is_known_host, is_own_origin
 from mission.page.view import View, grid, thin
 from mission.synthetic import small_mission
@@ -51,6 +52,24 @@ def test_a_frame_says_how_each_robot_is(tmp_path: Path) -> None:
     view.event(7, 3 * S, Operator(3 * S, "resume", "r1"))
     assert view.frame()["robots"][0]["call"] == ""
     assert view.frame()["robots"][1]["east_m"] is None
+
+
+def test_ticks_in_quick_succession_make_no_more_than_a_few_frames_a_second(tmp_path: Path) -> None:
+    class Looked:
+        clients = 1
+        calls = 0
+
+        def call(self, action: object) -> None:
+            self.calls += 1
+
+    show = LiveShow(View(small_mission(tmp_path)))
+    page = show.page = Looked()  # type: ignore[assignment]
+    for k in range(1000):
+        show.event(k + 1, k * S // 100, Tick(k * S // 100))
+    frames = page.calls  # type: ignore[union-attr]
+    assert 20 <= frames <= 26
+    show.flush()
+    assert page.calls == frames + 1, "what matters is shown at once"  # type: ignore[union-attr]
 
 
 def test_the_region_of_a_source_holds_90_percent_of_it(tmp_path: Path) -> None:
