@@ -1,4 +1,9 @@
-"""Compile the hot loops before anything moves: the first call of each takes seconds, on a new machine many."""
+"""Compile the hot loops before anything moves: the first call of each takes seconds, on a new machine many.
+
+What is loaded by then stays for good: the garbage collector need not look through it again in mid-mission.
+"""
+
+import gc
 
 from fieldkit.messages import Pose, RssReading, Tick, VehicleState
 from mission.config import Mission
@@ -20,3 +25,6 @@ def warm_up(mission: Mission) -> None:
         for robot in engine.robots[: 1 + second % 2]:
             kernel.step(RssReading(t_ns, robot, round(heard_dbm)))
         kernel.step(Tick(t_ns))
+    del kernel
+    gc.collect()
+    gc.freeze()
