@@ -1,20 +1,27 @@
 """Things chosen by name: drivers, beliefs, planners, commands. A user's own package adds to the same groups."""
 
 from collections.abc import Iterator
-from importlib.metadata import entry_points
+from functools import cache
+from importlib.metadata import EntryPoints, entry_points
 from typing import Any
 
 from fieldkit.errors import ConfigError
 
 
+@cache
+def _known(group: str) -> EntryPoints:
+    """Read once: it opens a file of every package there is, and what is installed does not change while we run."""
+    return entry_points(group=group)
+
+
 def names(group: str) -> list[str]:
     """The names known in an entry-point group such as `fieldkit.receivers`, sorted."""
-    return sorted({point.name for point in entry_points(group=group)})
+    return sorted({point.name for point in _known(group)})
 
 
 def load(group: str, name: str) -> Any:
     """The object behind a name. Raises `ConfigError` that lists the names there are."""
-    for point in entry_points(group=group):
+    for point in _known(group):
         if point.name == name:
             try:
                 return point.load()
