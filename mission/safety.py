@@ -48,6 +48,11 @@ REPEAT_S = 3.0
 """A hold that has not been confirmed is repeated this often."""
 STARTS_S = 4.0
 """How much later than another a robot may set out: it turns on the spot first, or its order is sent again."""
+AT_ONCE = ((0.0, 0.0),)
+_DELAYS_S = [STARTS_S * k / 5 for k in range(1, 6)]
+LATE_STARTS = (*AT_ONCE, *((late_s, 0.0) for late_s in _DELAYS_S), *((0.0, late_s) for late_s in _DELAYS_S))
+SLACK_M = 1e-6
+"""More than rounding: what a quick look finds this much too far apart is so by a closer one too."""
 SOON_S = 4.0
 """How far ahead robots under way are watched: time to tell one to stop over a poor link."""
 
@@ -94,8 +99,9 @@ class Safety:
         A robot that must stay stands in others' ways: whoever is refused is judged as standing, until none is new.
         """
         refused: dict[str, Hold] = {}
+        lies = self._lies() if any(isinstance(command, GoTo) for command in commands) else {}
         while True:
-            judged = self._judge_once(commands, refused)
+            judged = self._judge_once(commands, refused, lies)
             new = {c.robot: c for c in judged if isinstance(c, Hold) and c.robot not in refused}
             if not new:
                 break
@@ -105,7 +111,13 @@ class Safety:
             self._note(allowed)
         return judged
 
-    def _judge_once(self, commands: Sequence[Command], refused: dict[str, Hold]) -> list[Command]:
+    def _lies(self) -> dict[str, "_Lie"]:
+        """All robots' ways before new ones are given."""
+        return {name: _Lie(robot.ways(), robot.unseen(self.settings)) for name, robot in self.robots.items()}
+
+    def _judge_once(
+        self, commands: Sequence[Command], refused: dict[str, Hold], lies: dict[str, "_Lie"]
+    ) -> list[Command]:
         """Each command in order, the robots in `refused` standing where they are."""
         ways = {
             name: standing(self.robots[name].place_m or (0.0, 0.0)) for name in refused if name in self.robots
@@ -120,7 +132,7 @@ class Safety:
                 judged.append(refused[command.robot])
                 continue
             undecided.discard(command.robot)
-            judged.append(self._allow_goto(command, ways, undecided))
+            judged.append(self._allow_goto(command, ways, lies, undecided))
             robot, allowed = self.robots.get(command.robot), judged[-1]
             if robot is not None and robot.place_m is not None and isinstance(allowed, GoTo):
                 ways[command.robot] = _way_to(robot.place_m, allowed.waypoint)
@@ -274,55 +286,55 @@ class Safety:
         before = {name: robot.too_near for name, robot in self.robots.items()}
         for robot in self.robots.values():
             robot.too_near = False
-        robots = list(self.robots.values())
-        soon = [self._soon(robot) for robot in robots]
-        for later, mine in enumerate(robots):
-            for earlier, other in enumerate(robots[:later]):
-                gap_m = _gap_m(mine, other)
-                if gap_m < (1.2 * limit if before[mine.name] else limit):
-                    if _closing(soon[earlier], soon[later], gap_m):
-                        (mine if self._drives(mine) else other).too_near = True
-                elif (yields := self._must_yield(other, mine, soon[earlier], soon[later])) is not None:
+        near = [moment for robot in self.robots.values() if (moment := self._moment(robot)) is not None]
+        for later, mine in enumerate(near):
+            for other in near[:later]:
+                gap_m = math.dist(mine.place_m, other.place_m)
+                if gap_m - mine.reach_m - other.reach_m > 1.2 * limit + SLACK_M:
+                    continue  # most pairs, told at once: the rest costs fifty times as much
+                if gap_m < (1.2 * limit if before[mine.robot.name] else limit):
+                    if nearest_m(other.soon, mine.soon) < gap_m - 0.01:
+                        (mine if self._drives(mine.robot) else other).robot.too_near = True
+                elif (yields := self._must_yield(other, mine)) is not None:
                     yields.too_near = True
 
-    def _must_yield(
-        self, first: Watched, second: Watched, one: Way | None, two: Way | None
-    ) -> Watched | None:
+    def _must_yield(self, first: "_Moment", second: "_Moment") -> Watched | None:
         """Which of two has to stop now so that they do not meet on their next ways; None where they keep clear."""
-        for mover, way, other in ((second, two, first), (first, one, second)):
-            somewhere = other.unseen(self.settings)
-            if way is None or somewhere is None or not self._drives(mover):
+        for mover, other in ((second, first), (first, second)):
+            if other.somewhere is None or not self._drives(mover.robot):
                 continue
-            if ever_m(way, somewhere) < self.settings.near_m:
-                return mover
-        if one is None or two is None or not (one.length_m or two.length_m):
-            return None
-        if keep_apart_m(one, two) >= self.settings.near_m:
+            if ever_m(mover.soon, other.somewhere) < self.settings.near_m:
+                return mover.robot
+        one, two = first.soon, second.soon
+        if not (one.length_m or two.length_m) or keep_apart_m(one, two) >= self.settings.near_m:
             return None
         limit_m = min(self.settings.near_m, math.dist(one.start_m, two.start_m) - 0.01)
         if nearest_m(one, two) >= limit_m:
             return None
         helps = nearest_m(one, standing(two.start_m)) >= limit_m
-        if self._drives(second) and (helps or not self._drives(first)):
-            return second
-        return first if self._drives(first) else second
+        if self._drives(second.robot) and (helps or not self._drives(first.robot)):
+            return second.robot
+        return first.robot if self._drives(first.robot) else second.robot
 
     def _drives(self, robot: Watched) -> bool:
         """It is under way for us, to a way-point or home."""
         return robot.moving or robot.name in self.homing.under_way
 
-    def _soon(self, robot: Watched) -> Way | None:
-        """Its way for the next moments."""
-        way = robot.way()
-        if robot.name in self.homing.under_way and robot.place_m is not None:
+    def _moment(self, robot: Watched) -> "_Moment | None":
+        """Where it is and will be soon; None where its place is not known."""
+        here, way = robot.place_m, robot.way()
+        if here is None or way is None:
+            return None
+        if robot.name in self.homing.under_way:
             way = replace(home_way(robot), speed_m_s=self.settings.max_speed_m_s)
-        if way is None or way.length_m == 0:
-            return robot.drift(SOON_S)
-        return replace(way, end_m=way.at(SOON_S))
+        soon = replace(way, end_m=way.at(SOON_S)) if way.length_m else robot.drift(SOON_S)
+        return _Moment(robot, here, soon or standing(here), robot.unseen(self.settings))
 
     # -- way-points ------------------------------------------------------------------------------------------
 
-    def _allow_goto(self, command: GoTo, ways: dict[str, Way], undecided: set[str]) -> Command:
+    def _allow_goto(
+        self, command: GoTo, ways: dict[str, Way], lies: dict[str, "_Lie"], undecided: set[str]
+    ) -> Command:
         """`ways` are new ways given in the same breath; those of `undecided` come later: their old ones are void."""
         robot = self.robots.get(command.robot)
         reason = "there is no such robot in this mission" if robot is None else self._forbids(robot, command)
@@ -332,7 +344,7 @@ class Safety:
         way = _way_to((robot.pose.east_m, robot.pose.north_m), tame)
         if self.settings.keep_out.blocks(np.array([way.start_m]), np.array([way.end_m]))[0]:
             return Hold(command.t_ns, command.robot, "its way crosses ground it must keep out of")
-        if reason := self._meets(robot, way, ways, undecided):
+        if reason := self._meets(robot, way, ways, lies, undecided):
             return Hold(command.t_ns, command.robot, reason)
         return GoTo(command.t_ns, command.robot, tame)
 
@@ -347,25 +359,32 @@ class Safety:
         trouble = unfit(robot, self.settings, command.t_ns)
         return self._late if trouble is None else trouble.reason
 
-    def _meets(self, robot: Watched, way: Way, ways: dict[str, Way], undecided: set[str]) -> str:
+    def _meets(
+        self,
+        robot: Watched,
+        way: Way,
+        ways: dict[str, Way],
+        lies: dict[str, "_Lie"],
+        undecided: set[str],
+    ) -> str:
         """Whose way this one comes too near, however their starts fall; empty when it keeps clear."""
         limit_m = 1.2 * self.settings.near_m
-        for other in self.robots.values():
-            if other is robot or other.name in undecided:
+        for name, lie in lies.items():
+            if name == robot.name or name in undecided:
                 continue
-            new = ways.get(other.name)
-            for its in other.ways() if new is None else (new,):
+            new = ways.get(name)
+            for its in lie.ways if new is None else (new,):
                 if keep_apart_m(way, its) >= limit_m:
                     continue
-                now_m = math.dist(way.start_m, its.start_m)
-                if (somewhere := other.unseen(self.settings)) is not None:
-                    nearest = ever_m(way, somewhere)
+                least_m = min(limit_m, math.dist(way.start_m, its.start_m) - 0.01)
+                if lie.somewhere is not None:
+                    nearest = ever_m(way, lie.somewhere)
+                elif ever_m(way, its) > least_m + SLACK_M:
+                    continue  # they keep clear whenever they start
                 else:
-                    nearest = min(
-                        nearest_m(replace(way, delay_s=a), replace(its, delay_s=b)) for a, b in _starts(its)
-                    )
-                if nearest < min(limit_m, now_m - 0.01):
-                    return f"its way comes within {nearest:.2f} m of {other.name}"
+                    nearest = min(nearest_m(way, its, a, b) for a, b in _starts(its))
+                if nearest < least_m:
+                    return f"its way comes within {nearest:.2f} m of {name}"
         return ""
 
     def _tame(self, target: Waypoint, pose: Pose) -> Waypoint:
@@ -390,25 +409,36 @@ class Safety:
         )
 
 
-def _starts(its: Way) -> list[tuple[float, float]]:
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """A robot whose place is known, now and in the next moments."""
+
+    robot: Watched
+    place_m: Place
+    soon: Way
+    somewhere: Way | None
+    """Where it may be, if its position is old."""
+    reach_m: float = field(init=False)
+    """How far from its place any of that leads."""
+
+    def __post_init__(self) -> None:
+        unseen_m = 0.0 if self.somewhere is None else self.somewhere.length_m
+        object.__setattr__(self, "reach_m", max(self.soon.length_m, unseen_m))
+
+
+@dataclass(frozen=True, slots=True)
+class _Lie:
+    """All that a robot may be doing, and where it may be if its position is old."""
+
+    ways: tuple[Way, ...]
+    somewhere: Way | None
+
+
+def _starts(its: Way) -> tuple[tuple[float, float], ...]:
     """Delays of the one and the other to look at: close enough to each other to miss no meeting in between."""
-    if its.length_m == 0:
-        return [(0.0, 0.0)]
-    delays = [STARTS_S * k / 5 for k in range(1, 6)]
-    return [(0.0, 0.0), *((delay, 0.0) for delay in delays), *((0.0, delay) for delay in delays)]
-
-
-def _closing(one: Way | None, two: Way | None, gap_m: float) -> bool:
-    """Whether two robots come still nearer to each other."""
-    return one is not None and two is not None and nearest_m(one, two) < gap_m - 0.01
+    return AT_ONCE if its.length_m == 0 else LATE_STARTS
 
 
 def _way_to(place_m: Place, waypoint: Waypoint) -> Way:
     """Straight from a place to a way-point."""
     return Way(place_m, (waypoint.east_m, waypoint.north_m), max(waypoint.speed_m_s, 0.01))
-
-
-def _gap_m(one: Watched, other: Watched) -> float:
-    if one.place_m is None or other.place_m is None:
-        return math.inf
-    return math.dist(one.place_m, other.place_m)

@@ -46,10 +46,16 @@ def standing(place_m: Place) -> Way:
     return Way(place_m, place_m)
 
 
-def nearest_m(one: Way, other: Way) -> float:
-    """The least distance between two robots that set out now, each at its speed."""
-    moments = sorted({0.0, one.delay_s, other.delay_s, one.arrival_s, other.arrival_s})
-    apart = [_apart(one, other, t_s) for t_s in moments]
+def nearest_m(one: Way, other: Way, one_late_s: float = 0.0, other_late_s: float = 0.0) -> float:
+    """The least distance between two robots that set out now, or so much later, each at its speed."""
+    moments = {
+        0.0,
+        one.delay_s + one_late_s,
+        other.delay_s + other_late_s,
+        one.arrival_s + one_late_s,
+        other.arrival_s + other_late_s,
+    }
+    apart = [_apart(one.at(t_s - one_late_s), other.at(t_s - other_late_s)) for t_s in sorted(moments)]
     return min((_from_origin(a, b) for a, b in pairwise(apart)), default=math.hypot(*apart[-1]))
 
 
@@ -60,16 +66,14 @@ def keep_apart_m(one: Way, other: Way) -> float:
 
 def ever_m(one: Way, other: Way) -> float:
     """The least distance between two ways, whenever they are driven."""
-    p, q = np.array([one.start_m]), np.array([one.end_m])
-    if KeepOut(((other.start_m, other.end_m, other.end_m),)).blocks(p, q)[0]:
+    if _cross(one, other):
         return 0.0
-    ends = [
-        (one.start_m, other),
-        (one.end_m, other),
-        (other.start_m, one),
-        (other.end_m, one),
-    ]
-    return min(to_segment_m(point, way.start_m, way.end_m) for point, way in ends)
+    return min(
+        to_segment_m(one.start_m, other.start_m, other.end_m),
+        to_segment_m(one.end_m, other.start_m, other.end_m),
+        to_segment_m(other.start_m, one.start_m, one.end_m),
+        to_segment_m(other.end_m, one.start_m, one.end_m),
+    )
 
 
 def to_segment_m(point: Place, start: Place, end: Place) -> float:
@@ -80,9 +84,25 @@ def to_segment_m(point: Place, start: Place, end: Place) -> float:
     )
 
 
-def _apart(one: Way, other: Way, t_s: float) -> Place:
-    (e0, n0), (e1, n1) = one.at(t_s), other.at(t_s)
-    return (e1 - e0, n1 - n0)
+def _cross(one: Way, other: Way) -> bool:
+    """Whether each has its ends on both sides of the other. Ways that only touch do not cross: an end is near."""
+    return _parts(one, other) and _parts(other, one)
+
+
+def _parts(way: Way, other: Way) -> bool:
+    """Whether the line along a way has the ends of another on different sides."""
+    left, right = _side(way, other.start_m), _side(way, other.end_m)
+    return (left < 0.0 < right) or (right < 0.0 < left)
+
+
+def _side(way: Way, point: Place) -> float:
+    """Positive to the left of the line along a way, 0 on it."""
+    (e0, n0), (e1, n1) = way.start_m, way.end_m
+    return (e1 - e0) * (point[1] - n0) - (n1 - n0) * (point[0] - e0)
+
+
+def _apart(one: Place, other: Place) -> Place:
+    return (other[0] - one[0], other[1] - one[1])
 
 
 def _from_origin(a: Place, b: Place) -> float:

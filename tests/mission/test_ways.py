@@ -37,6 +37,25 @@ def test_the_nearest_is_what_small_steps_find(a, b, c, d, u, v) -> None:  # type
     assert ever_m(one, other) <= exact + 1e-9
 
 
+@given(
+    a=places, b=places, c=places, d=places, u=st.floats(0.1, 3), v=st.floats(0.1, 3), late_s=st.floats(0, 9)
+)
+def test_to_set_out_later_is_to_be_delayed(a, b, c, d, u, v, late_s) -> None:  # type: ignore[no-untyped-def]
+    one, other = Way(a, b, u), Way(c, d, v)
+    assert nearest_m(one, other, late_s, 0.0) == nearest_m(Way(a, b, u, delay_s=late_s), other)
+    assert nearest_m(one, other, 0.0, late_s) == nearest_m(one, Way(c, d, v, delay_s=late_s))
+
+
+@given(a=places, b=places, c=places, d=places)
+def test_whenever_driven_they_come_as_near_as_their_closest_points(a, b, c, d) -> None:  # type: ignore[no-untyped-def]
+    one, other = Way(a, b, 1.0), Way(c, d, 1.0)
+    share = np.linspace(0.0, 1.0, 60)[:, None]
+    on_one, on_other = a + share * np.subtract(b, a), c + share * np.subtract(d, c)
+    sampled = float(np.hypot(*(on_one[:, None] - on_other[None, :]).reshape(-1, 2).T).min())
+    assert ever_m(one, other) <= sampled + 1e-9
+    assert ever_m(one, other) >= sampled - (one.length_m + other.length_m) / 59 - 1e-9
+
+
 @given(point=st.tuples(st.floats(-5, 15), st.floats(-5, 15)))
 def test_outside_a_fence_is_what_is_not_inside_it(point) -> None:  # type: ignore[no-untyped-def]
     inside = (0 < point[0] < 10 and 0 < point[1] < 5) or (0 < point[0] < 5 and 0 < point[1] < 10)
