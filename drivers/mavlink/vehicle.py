@@ -24,6 +24,8 @@ FORGET_S = 10.0
 MAX_SPEAKERS = 8
 REBOOT_BACK_MS = 1000
 """A boot clock further back than this means a reboot; less is a datagram out of order."""
+TWO_CLOCKS = 3
+"""A boot clock that goes back so often within `FORGET_S` is two vehicles' behind one address: none boots so fast."""
 NO_POSITION = (0, 0)
 
 Happening = Pose | VehicleState
@@ -54,6 +56,8 @@ class Vehicle:
         """Where it says it is going, degrees times 1e7."""
         self.position_target_s = -math.inf
         self.reboots = 0
+        self.utc_ahead_s: float | None = None
+        """Our clock's lead over the time it has from its GPS; None where it has none."""
         self.texts: deque[tuple[float, str]] = deque(maxlen=20)
         """(elapsed time, STATUSTEXT), newest last."""
         self.doubles: set[Peer] = set()
@@ -71,6 +75,8 @@ class Vehicle:
         self._time = TimeBase()
         self._pose_t_ns = 0
         self._boot_ms: int | None = None
+        self._backs_s: deque[float] = deque(maxlen=TWO_CLOCKS)
+        """When its boot clock was last seen to go back."""
         self._heading_deg = 0.0
         self._speakers: dict[Peer, tuple[float, float, int]] = {}
         """Address to its first and last heartbeat and their number."""
@@ -84,6 +90,8 @@ class Vehicle:
     def heard(self, message: Message, peer: Peer, now_s: float, now_ns: int) -> list[Happening]:
         """Take in a message of its autopilot; what that means to the mission."""
         kind = message.get_type()
+        if peer == self.peer and kind in ("GLOBAL_POSITION_INT", "SYSTEM_TIME"):
+            self._boot(message.time_boot_ms, now_s)
         if kind == "HEARTBEAT":
             self._heartbeat(message, peer, now_s)
         elif self.doubles or peer != self.peer:
@@ -103,8 +111,8 @@ class Vehicle:
             self.ekf_flags = message.flags
         elif kind == "POSITION_TARGET_GLOBAL_INT":
             self.position_target, self.position_target_s = (message.lat_int, message.lon_int), now_s
-        elif kind == "SYSTEM_TIME":
-            self._boot(message.time_boot_ms)
+        elif kind == "SYSTEM_TIME" and message.time_unix_usec:
+            self.utc_ahead_s = (now_ns - message.time_unix_usec * 1_000) * 1e-9
         return self._report(now_s, now_ns)
 
     def passed(self, now_s: float, now_ns: int) -> list[Happening]:
@@ -150,10 +158,17 @@ class Vehicle:
             for other, (first_s, last_s, count) in self._speakers.items()
             if other != self.peer and min(count, mine[2]) >= 2 and first_s < mine[1] and mine[0] < last_s
         }
+        if self._has_two_clocks(now_s):
+            doubles.add(self.peer)
         if doubles - self.doubles:
-            self._say(now_s, f"two vehicles have system id {self.system_id}: {self.peer} and {min(doubles)}")
+            where = f"{self.peer} and {min(doubles)}" if doubles != {self.peer} else f"both at {self.peer}"
+            self._say(now_s, f"two vehicles have system id {self.system_id}: {where}")
             self.owner = "lost" if self.owner == "us" else self.owner
         self.doubles = doubles
+
+    def _has_two_clocks(self, now_s: float) -> bool:
+        """Whether two vehicles speak from one address, through a router or a shared radio."""
+        return len(self._backs_s) == TWO_CLOCKS and now_s - self._backs_s[0] < FORGET_S
 
     def _forget_speakers(self, now_s: float) -> None:
         """Addresses silent for a while, and the oldest of many, are forgotten."""
@@ -169,7 +184,6 @@ class Vehicle:
         self._confirmed = self._confirmed or is_ours
 
     def _position(self, message: Message, now_s: float, now_ns: int) -> list[Happening]:
-        self._boot(message.time_boot_ms)
         # A better estimate of the offset may set the clock back a little; poses stay in order.
         t_ns = max(self._time.heard(message.time_boot_ms * 1_000_000, now_ns), self._pose_t_ns + 1)
         self._pose_t_ns = t_ns
@@ -205,8 +219,9 @@ class Vehicle:
         self._gps_good = message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX
         self._gps_sigma_m = message.h_acc / 1000.0 if message.h_acc else None
 
-    def _boot(self, boot_ms: int) -> None:
+    def _boot(self, boot_ms: int, now_s: float) -> None:
         if self._boot_ms is not None and boot_ms < self._boot_ms - REBOOT_BACK_MS:
+            self._backs_s.append(now_s)
             self._time.clear()
             self.position_target = None
             self.reboots += 1

@@ -138,6 +138,20 @@ async def test_must_reject_two_vehicles_with_one_id():
         await until(lambda: twins[0].autopilot.mode == HOLD)
 
 
+async def test_must_reject_two_vehicles_with_one_id_behind_one_address():
+    async with team() as t, rovers_on_udp({1: (9.0, 9.0)}, t.clock, free_udp_port(), boot_s=-900.0) as twins:
+        await t.link.take_over("ada")
+        twins[0].send = t.rovers[0].send  # a router, or one radio for both
+        await until(lambda: any("two vehicles have system id 1: both at" in text for text in t.texts()))
+        for steer in (t.link.take_over("ada"), t.link.goto("ada", here())):
+            with pytest.raises(VehicleRefused, match="two vehicles have system id 1"):
+                await steer
+        count = len(t.poses())
+        await t.sleep(2.0)
+        assert len(t.poses()) == count, "poses of two vehicles are mixed"
+        await t.link.hold("ada")
+
+
 async def test_a_vehicle_that_moves_to_another_address_is_followed():
     async with team() as t:
         t.rovers[0].silenced = True
@@ -241,6 +255,47 @@ async def test_must_repeat_a_command_until_it_is_answered():
         )
         await t.link.goto("ada", here())
         assert len(t.sent_to(t.rovers[0], "COMMAND_INT")) == 3
+
+
+async def test_must_number_its_attempts():
+    async with team() as t:
+        lost = iter([True, True, False])
+        arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+        t.rovers[0].drop_in = lambda data: is_command(data, arm) and next(lost, False)
+        await t.link.take_over("ada")
+        asked = [m for m in t.sent_to(t.rovers[0], "COMMAND_LONG") if m.command == arm]
+        assert [m.confirmation for m in asked] == [0, 1, 2]
+        assert {m.param2 for m in asked} == {0.0}, "arming is never forced"
+
+
+async def answering(t, *answers):
+    """Answer a way-point with (mission seconds to wait, result) for each time it is sent; how often that was."""
+    await t.link.take_over("ada")
+    rover, command, told = t.rovers[0], mavlink.MAV_CMD_DO_REPOSITION, iter(answers)
+
+    def answer(data):
+        if not is_command(data, command):
+            return False
+        for after_s, result in next(told, ()):
+            ack = Packer(1, 1).pack(mavlink.MAVLink_command_ack_message(command, result, 0, 0, 245, 190))
+            asyncio.get_running_loop().call_later(after_s / RATE, rover.send, ack)
+        return True
+
+    rover.drop_in = answer
+    await t.link.goto("ada", here())
+    return len(t.sent_to(rover, "COMMAND_INT"))
+
+
+async def test_must_wait_long_for_a_vehicle_that_is_at_it():
+    async with team() as t:
+        busy, done = (0.0, mavlink.MAV_RESULT_IN_PROGRESS), (4.0, mavlink.MAV_RESULT_ACCEPTED)
+        assert await answering(t, (busy, done)) == 1, "asked again while the vehicle was at it"
+
+
+async def test_must_ask_again_later_what_is_rejected_for_now():
+    async with team() as t:
+        not_now, done = (0.0, mavlink.MAV_RESULT_TEMPORARILY_REJECTED), (0.0, mavlink.MAV_RESULT_ACCEPTED)
+        assert await answering(t, (not_now,), (done,)) == 2
 
 
 async def test_must_report_a_command_never_answered():

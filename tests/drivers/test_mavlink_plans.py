@@ -46,6 +46,27 @@ async def test_a_fence_is_uploaded_and_read_back():
         assert (east_m, north_m) == pytest.approx((10.0, 10.0), abs=0.02)
 
 
+async def test_must_answer_the_newer_request_as_well():
+    async with link_and_rover() as (link, rover):
+        asked, send, packer = [], rover.send, Packer(1, 1)
+
+        def in_newer_words(data):
+            """As PX4 asks: MISSION_REQUEST_INT in place of MISSION_REQUEST."""
+            for message in Parser().parse(data):
+                if message.get_type() == "MISSION_REQUEST":
+                    to = (message.target_system, message.target_component)
+                    message = mavlink.MAVLink_mission_request_int_message(
+                        *to, message.seq, message.mission_type
+                    )
+                    asked.append(message.seq)
+                send(packer.pack(message))
+
+        rover.send = in_newer_words
+        await link.upload("ada", MISSION, items(6))
+        assert asked == list(range(6))
+        assert await link.download("ada", MISSION) == items(6)
+
+
 async def test_an_empty_plan_clears_the_vehicles():
     async with link_and_rover() as (link, _):
         await link.upload("ada", MISSION, items(3))
