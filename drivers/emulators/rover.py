@@ -66,6 +66,8 @@ class RoverAutopilot:
     """HOLD when the ground station's heartbeat is older; 0 is FS_GCS_ENABLE off. Live from the first one."""
     battery_pct: float = 100.0
     trouble: Trouble = field(default_factory=Trouble)
+    utc_s: float | None = None
+    """UTC at time 0, from its GPS; None: it does not know."""
     signer: Signer | None = None
     profile: Profile = ROVER
 
@@ -410,7 +412,8 @@ class RoverAutopilot:
         return mavlink.MAVLink_ekf_status_report_message(flags, 0.05, 0.05, 0.05, 0.05, 0.0)
 
     def _system_time(self, t_s: float) -> Message:
-        return mavlink.MAVLink_system_time_message(0, self._boot_ms(t_s))
+        utc_us = 0 if self.utc_s is None else round((self.utc_s + t_s) * 1e6)
+        return mavlink.MAVLink_system_time_message(utc_us, self._boot_ms(t_s))
 
     def _echo_target(self, t_s: float) -> Message:
         return mavlink.MAVLink_position_target_global_int_message(

@@ -39,6 +39,7 @@ MAX_PEERS = 64
 HOUSEKEEPING_S = 0.5
 POSITION_STALE_S = 2.0
 RIVAL_S = 10.0
+UNSIGNED_TRIES = 3
 SETTLE_S = 2.5
 """How long a vehicle has to say everything that was asked for once."""
 
@@ -303,10 +304,21 @@ class MavlinkLink:
     async def synchronise(self, robot: str) -> timesync.ClockOffset | None:
         """The vehicle's clock against ours, with its bound; None if it does not answer."""
         steered = self._of(robot)
-        vehicle = steered.vehicle
         with self._inbox(steered, ("TIMESYNC",)) as inbox:
             return await timesync.exchange(
-                lambda message: self._send(vehicle, message), inbox, self._clock, self._own_id
+                lambda message: self._send(steered.vehicle, message), inbox, self._clock, self._own_id
+            )
+
+    async def _unsigned(self, steered: Steered) -> timesync.ClockOffset | None:
+        """Its answer to unsigned frames on a signed link: there should be none. A refusal is silence."""
+        packer, peer = Packer(self._own_id, GROUND_STATION), steered.vehicle.peer
+        with self._inbox(steered, ("TIMESYNC",)) as inbox:
+            return await timesync.exchange(
+                lambda message: self._transport.send(packer.pack(message), peer),
+                inbox,
+                self._clock,
+                self._own_id,
+                UNSIGNED_TRIES,
             )
 
     async def inspect(self, robot: str, fence_m: Sequence[tuple[float, float]] = ()) -> list[Check]:
@@ -330,7 +342,11 @@ class MavlinkLink:
         checks += inspect.failsafes(robot, vehicle.firmware, values, self._own_id)
         if fence_m:
             checks.append(await self._put_fence(robot, fence_m))
-        checks.append(inspect.clock(robot, await self.synchronise(robot)))
+        offset = await self.synchronise(robot)
+        checks.append(inspect.clock(robot, offset))
+        checks += inspect.time_of_day(vehicle, self._signer is not None)
+        if self._signer is not None:
+            checks.append(inspect.signing(robot, offset, await self._unsigned(steered)))
         return checks
 
     async def _put_fence(self, robot: str, fence_m: Sequence[tuple[float, float]]) -> Check:

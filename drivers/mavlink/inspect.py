@@ -22,6 +22,8 @@ EKF_ABSOLUTE = 16
 LOSS_AMBER, LOSS_RED = 0.05, 0.5
 BOUND_AMBER_MS = 50.0
 """Half a round trip: more than this and receptions need a window wider than 250 ms."""
+CLOCK_WRONG_S = 60.0
+"""A vehicle's own clock runs up to a second beside GPS time; this much is a computer's that was never set."""
 
 NAMES: dict[Firmware, tuple[str, ...]] = {
     ROVER: (
@@ -202,3 +204,32 @@ def clock(robot: str, offset: ClockOffset | None) -> Check:
     level: Level = "green" if bound_ms <= BOUND_AMBER_MS else "amber"
     remedy = "" if level == "green" else "a faster link, or a wider association.window_s"
     return Check(robot, "clock", level, f"known within {bound_ms:.1f} ms", remedy)
+
+
+def time_of_day(vehicle: Vehicle, signs: bool) -> list[Check]:
+    """Our clock against the time that the vehicle has from its GPS, where it says so.
+
+    Signed frames from the future are taken, and from then on none that are older: on a signed link that is red.
+    """
+    ahead_s = vehicle.utc_ahead_s
+    if ahead_s is None:
+        return []
+    if abs(ahead_s) <= CLOCK_WRONG_S:
+        return [Check(vehicle.robot, "time of day", "green", "this computer's clock agrees with its GPS")]
+    way = "ahead of" if ahead_s > 0 else "behind"
+    found = f"this computer's clock is {abs(ahead_s):,.0f} s {way} its GPS time"
+    remedy = "set the clock of this computer"
+    if signs:
+        remedy += ": signing from the future locks other ground stations out, from the past ourselves"
+    return [Check(vehicle.robot, "time of day", "red" if signs else "amber", found, remedy)]
+
+
+def signing(robot: str, signed: ClockOffset | None, unsigned: ClockOffset | None) -> Check:
+    """Whether the vehicle takes signed frames alone, from how it answered TIMESYNC both ways."""
+    if unsigned is not None:
+        remedy = "set up signing on this port of the vehicle; on USB (SERIAL0) ArduPilot always takes both"
+        found = "obeys unsigned frames too: anybody in reach can steer it"
+        return Check(robot, "signing", "amber", found, remedy)
+    if signed is None:
+        return Check(robot, "signing", "amber", "cannot be told: it does not answer TIMESYNC")
+    return Check(robot, "signing", "green", "answers signed frames alone")

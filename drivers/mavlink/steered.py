@@ -18,6 +18,7 @@ RATES_HZ = {
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 1.0,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 0.5,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 0.5,
 }
 """What we want to hear, how often."""
 TARGET_TOLERANCE = 10

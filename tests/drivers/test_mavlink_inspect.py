@@ -1,6 +1,7 @@
 """A vehicle's own failsafes, fence and clock are read, not assumed, before it is steered."""
 
 import pytest
+from benches import FRAME, until
 from hypothesis import given
 from hypothesis import strategies as st
 from test_mavlink_plans import SQUARE_M, link_and_rover
@@ -9,6 +10,7 @@ from drivers.mavlink import inspect
 from drivers.mavlink.modes import COPTER, PX4, ROVER
 from drivers.mavlink.plans import FENCE
 from drivers.mavlink.timesync import best
+from drivers.mavlink.vehicle import Vehicle
 
 GOOD = {
     "FS_GCS_ENABLE": 1.0,
@@ -130,3 +132,23 @@ async def test_a_vehicle_that_does_not_answer_timesync_is_amber():
         rover.drop_in = lambda data: any(m.get_type() == "TIMESYNC" for m in Parser().parse(data))
         checks = {check.name: check for check in await link.inspect("ada")}
         assert checks["clock"].level == "amber"
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "signs", "level"),
+    [(0.8, True, "green"), (3600.0, False, "amber"), (3600.0, True, "red"), (-3600.0, True, "red")],
+)
+async def test_a_clock_that_would_lock_others_out_is_found(ahead_s, signs, level):
+    async with link_and_rover() as (link, rover):
+        rover.autopilot.utc_s = rover.clock.start_ns * 1e-9 - ahead_s
+        vehicle = link._steered[1].vehicle
+        await until(lambda: vehicle.utc_ahead_s is not None)
+        (check,) = inspect.time_of_day(vehicle, signs)
+        assert check.level == level
+        if level != "green":
+            assert "3,600 s" in check.found and check.remedy
+        assert "time of day" in {check.name for check in await link.inspect("ada")}
+
+
+def test_a_vehicle_without_gps_time_says_nothing_of_our_clock():
+    assert inspect.time_of_day(Vehicle("ada", 1, FRAME), True) == []

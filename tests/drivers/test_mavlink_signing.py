@@ -9,6 +9,7 @@ from benches import around, free_udp_port, rovers_on_udp, until
 
 from drivers.mavlink.codec import Packer, Parser, mavlink
 from drivers.mavlink.fleet import open_link
+from drivers.mavlink.inspect import signing
 from drivers.mavlink.signing import EPOCH_NS, SAVE_EVERY, UNIT_NS, Signer, read_key
 from drivers.mavlink.wire import checksum
 from fieldkit.clock import ScaledClock
@@ -168,3 +169,26 @@ async def test_a_signed_link_hears_and_steers_only_with_the_right_key(tmp_path, 
             with pytest.raises(DeviceTimeout, match="no heartbeat"):
                 await link.take_over("ada")
             await until(lambda: link._signer.refused > 0)
+
+
+@pytest.mark.parametrize("strict", [True, False], ids=["signed alone", "unsigned too"])
+async def test_must_find_out_whether_the_vehicle_obeys_unsigned_frames(tmp_path, strict):
+    path = tmp_path / "key"
+    path.write_bytes(KEY)
+    path.chmod(0o600)
+    time, port = ScaledClock(20.0), free_udp_port()
+    signer = Signer(KEY, time.now_ns, link_id=200)
+    robots = {"ada": {"system_id": 1, "signing_key": str(path)}}
+    async with (
+        rovers_on_udp({1: (0.0, 0.0)}, time, port, signer=signer) as rovers,
+        open_link(f"udpin:127.0.0.1:{port}", robots, around(time)) as link,
+    ):
+        if not strict:
+            rovers[0].autopilot._parser = Parser()  # as ArduPilot's USB port
+        (check,) = [check for check in await link.inspect("ada") if check.name == "signing"]
+        assert check.level == ("green" if strict else "amber")
+        assert strict or ("unsigned" in check.found and "USB" in check.remedy)
+
+
+def test_a_vehicle_that_answers_nothing_does_not_pass_for_strict():
+    assert signing("ada", None, None).level == "amber"
