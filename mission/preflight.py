@@ -23,6 +23,8 @@ from mission.ways import margin_m
 MISSION = "mission"
 NEAR_FIELD_M = 200.0
 """A robot further from the field than this is at another one."""
+OUTSIDE_M = 1.0
+"""A robot further outside the fence than its position may be off: either stands in the wrong place."""
 OLD_CALIBRATION_S = 90 * 86_400.0
 DISK_RED_BYTES, DISK_AMBER_BYTES = 500_000_000, 5_000_000_000
 CPU_AMBER_SHARE = 0.7
@@ -180,11 +182,10 @@ def judge_places(mission: Mission, poses: dict[str, Pose]) -> list[Check]:
             remedy = "is this the mission file of another field? set origin_lat_deg and origin_lon_deg"
             checks.append(Check(robot, "place", "red", found, remedy))
         elif inside_m < 0:
-            checks.append(
-                Check(
-                    robot, "place", "amber", f"{-inside_m:.1f} m outside the fence", "carry it into the field"
-                )
-            )
+            level: Level = "red" if -inside_m > OUTSIDE_M + 3.0 * pose.sigma_m else "amber"
+            found = f"{-inside_m:.1f} m outside the fence"
+            remedy = "carry it into the field, or mend field.fence in the mission file"
+            checks.append(Check(robot, "place", level, found, remedy))
         else:
             checks.append(_apart(robot, pose, poses, mission, inside_m))
     return checks

@@ -68,9 +68,19 @@ def test_a_mission_file_of_another_field_does_not_start(tmp_path: Path) -> None:
     assert not [c for *_, c in open_recording(tmp_path / "mission.mcap").commands() if isinstance(c, GoTo)]
 
 
+def test_a_fence_that_leaves_a_vehicle_out_does_not_start(tmp_path: Path) -> None:
+    class Behind(FakeFleet):
+        def __init__(self, rovers, clock) -> None:  # type: ignore[no-untyped-def]
+            super().__init__(rovers | {"r3": Rover(5.0, -2.5)}, clock)
+
+    with pytest.raises(VehicleRefused, match=r"r3: place: 2\.\d m outside the fence; carry it"):
+        run(tmp_path, Behind)
+    assert not list(open_recording(tmp_path / "mission.mcap").commands())
+
+
 def test_places_are_judged(tmp_path: Path) -> None:
     mission = small_mission(tmp_path)
-    poses = {"r1": Pose(0, "r1", 5.0, 4.0), "r2": Pose(0, "r2", 5.1, 4.0), "r3": Pose(0, "r3", -3.0, 5.0)}
+    poses = {"r1": Pose(0, "r1", 5.0, 4.0), "r2": Pose(0, "r2", 5.1, 4.0), "r3": Pose(0, "r3", -0.9, 5.0)}
     checks = {check.robot: check for check in judge_places(mission, poses)}
     assert {robot: check.level for robot, check in checks.items()} == {
         "r1": "amber",
@@ -78,7 +88,10 @@ def test_places_are_judged(tmp_path: Path) -> None:
         "r3": "amber",
         "r4": "red",
     }
-    assert "3.0 m outside" in checks["r3"].found and "from r2" in checks["r1"].found
+    beyond = judge_places(mission, {"r3": Pose(0, "r3", -3.0, 5.0)})
+    unsure = judge_places(mission, {"r3": Pose(0, "r3", -3.0, 5.0, sigma_m=1.0)})
+    assert [check.level for check in (*beyond, *unsure) if check.robot == "r3"] == ["red", "amber"]
+    assert "0.9 m outside" in checks["r3"].found and "from r2" in checks["r1"].found
 
 
 def test_an_old_or_doubtful_calibration_is_amber(tmp_path: Path) -> None:
