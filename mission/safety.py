@@ -327,7 +327,8 @@ class Safety:
             return None
         if robot.name in self.homing.under_way:
             way = replace(home_way(robot), speed_m_s=self.settings.max_speed_m_s)
-        soon = replace(way, end_m=way.at(SOON_S)) if way.length_m else robot.drift(SOON_S)
+        obeys = way.length_m and not robot.strays
+        soon = replace(way, end_m=way.at(SOON_S)) if obeys else robot.drift(SOON_S)
         return _Moment(robot, here, soon or standing(here), robot.unseen(self.settings))
 
     # -- way-points ------------------------------------------------------------------------------------------

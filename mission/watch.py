@@ -23,6 +23,8 @@ FADING_S = 15.0
 SMOOTH_S = 1.0
 SLOW_M_S = 0.15
 """Slower than this is noise in the positions."""
+OBEYS_S = 2.5
+"""A robot has turned to its new way by then, if its order has got through."""
 AHEAD_S = 1.0
 """A position from further in the future than this comes from a clock that is wrong."""
 
@@ -104,6 +106,8 @@ class Watched:
     """The last tick."""
     velocity_m_s: Place = (0.0, 0.0)
     """East and north, smoothed over about a second."""
+    sent_ns: int = LONG_AGO_NS
+    """When it was given the way it is on."""
     ours: bool = False
     """We have sent it somewhere."""
 
@@ -159,6 +163,19 @@ class Watched:
             return None
         return replace(way, end_m=way.at(FADING_S))
 
+    @property
+    def strays(self) -> bool:
+        """It drives, but not where it was sent: its order has not got through, and it goes on with an older one."""
+        way = self.way()
+        if self.target is None or way is None or way.length_m < JUMP_SLACK_M:
+            return False
+        if (self.now_ns - self.sent_ns) * 1e-9 < OBEYS_S:
+            return False
+        (east, north), (v_east, v_north) = way.start_m, self.velocity_m_s
+        speed_m_s = math.hypot(v_east, v_north)
+        forward_m = v_east * (way.end_m[0] - east) + v_north * (way.end_m[1] - north)
+        return speed_m_s >= SLOW_M_S and forward_m < 0.5 * speed_m_s * way.length_m
+
     def drift(self, ahead_s: float) -> Way | None:
         """Where it will be soon, by how it has moved; for those that others steer, or nobody."""
         here = self.place_m
@@ -213,6 +230,7 @@ class Watched:
         """It has been given a way."""
         if self.target is None or math.dist(self.target.end_m, way.end_m) > 0.01:
             self.progress_m, self.progress_ns = self.place_m or way.start_m, now_ns
+            self.sent_ns = now_ns
         self.target, self.ours = way, True
 
     def stop(self) -> None:

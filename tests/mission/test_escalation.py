@@ -131,6 +131,21 @@ def test_robots_that_come_to_meet_are_stopped_before_they_do() -> None:
     assert closest > 0.3
 
 
+def test_a_robot_that_goes_on_with_an_older_order_is_kept_clear_of() -> None:
+    field = Field()
+    field.at["b"] = (6.0, 0.3)
+    field.tick(5)
+    field.send(("a", 14.0, 6.0))
+    field.tick(2)
+    assert all(isinstance(c, GoTo) for c in field.send(("a", 2.0, 14.0), ("b", 6.0, 14.0)))
+    field.goal["a"] = (14.0, 6.0)  # the new order was lost on the way
+    closest = math.inf
+    for _ in range(12):
+        field.tick()
+        closest = min(closest, math.dist(*field.at.values()))
+    assert closest > field.safety.settings.near_m
+
+
 def test_a_robot_told_to_stop_is_taken_for_driving_on_and_for_standing() -> None:
     field = Field()
     field.at["a"] = (3.0, 8.5)
