@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from fieldkit.errors import (
@@ -142,7 +143,7 @@ class Runner:
                 self._interrupted()
             tasks.append(asyncio.create_task(self._start(), name="start"))
             for task in tasks:
-                task.add_done_callback(self._over)
+                task.add_done_callback(partial(self._over, tasks))
             with self._interruptible():
                 while not self.end_reason:
                     await self._step(*await self._next(), pool)
@@ -156,9 +157,10 @@ class Runner:
             raise came
         return came
 
-    def _over(self, task: asyncio.Task[Any]) -> None:
+    def _over(self, tasks: list[asyncio.Task[Any]], task: asyncio.Task[Any]) -> None:
         """What ended a task goes through the inbox: waiting for all tasks at every event would cost more than it."""
         if not task.cancelled() and (error := task.exception()) is not None:
+            tasks.remove(task)  # `_cancel` need not report it once more
             self._inbox.put_nowait(error)
 
     # -- what comes in ---------------------------------------------------------------------------------------

@@ -43,11 +43,12 @@ def run(folder: Path, fleet, override: str = "") -> FakeFleet:  # type: ignore[n
     return rig.links[0]  # type: ignore[return-value]
 
 
-def test_vehicles_without_failsafes_do_not_start(tmp_path: Path) -> None:
+def test_vehicles_without_failsafes_do_not_start(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(VehicleRefused, match=r"FS_GCS_ENABLE is 0.*\n.*--override"):
         run(tmp_path, Careless)
     recording = open_recording(tmp_path / "mission.mcap")
     assert not list(recording.commands())
+    assert "FS_GCS_ENABLE" not in caplog.text, "said twice"
 
 
 def test_a_typed_reason_overrides_and_is_recorded(tmp_path: Path) -> None:
