@@ -422,10 +422,11 @@ class Runner:
             if self.rig.clock.elapsed_s() > deadline_s:
                 raise DeviceTimeout(
                     f"no telemetry from {', '.join(missing)} in {READY_TIMEOUT_S:.0f} s: is the vehicle on, does it "
-                    "send to "
-                    "the address in the mission file, is its system id right, has it a position fix?"
+                    "send to the address in the mission file, are its system id and signing key right, has it a "
+                    "position fix?"
                 )
             await self.rig.clock.sleep(0.2)
+            self.recorder.maybe_flush(self.rig.clock.now_ns())  # silence is no step of the clock
         await self._inspect()
         self._steered = True
         if not self._resumed_ns:

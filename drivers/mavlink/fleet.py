@@ -40,6 +40,8 @@ HOUSEKEEPING_S = 0.5
 POSITION_STALE_S = 2.0
 RIVAL_S = 10.0
 UNSIGNED_TRIES = 3
+REFUSED_MANY = 20
+"""Frames refused before the operator is told: some seconds of one vehicle."""
 SETTLE_S = 2.5
 """How long a vehicle has to say everything that was asked for once."""
 
@@ -189,8 +191,17 @@ class MavlinkLink:
 
     async def _keep_house(self) -> None:
         last_s = self._clock.elapsed_s()
+        warned = False
         while True:
             await self._clock.sleep(HOUSEKEEPING_S)
+            if not warned and self._hears_only_what_it_refuses():
+                warned = True
+                logger.warning(
+                    "%s: %d frames have come that are not signed with this link's key, and none that are: is it the "
+                    "vehicles' key, have they signing set up on this port, is their clock right?",
+                    self._address,
+                    self._signer.refused if self._signer is not None else 0,
+                )
             now_s, now_ns = self._clock.elapsed_s(), self._clock.now_ns()
             stalled, last_s = now_s - last_s > 1.0 + HOUSEKEEPING_S, now_s
             for steered in self._steered.values():
@@ -199,6 +210,11 @@ class MavlinkLink:
                 self._ask_rates(steered, now_s)
                 self._watch_target(steered, now_s)
                 self._hold_on(steered)
+
+    def _hears_only_what_it_refuses(self) -> bool:
+        """A wrong key looks like a link on which nobody speaks."""
+        silent = all(steered.vehicle.heartbeats == 0 for steered in self._steered.values())
+        return self._signer is not None and silent and self._signer.refused >= REFUSED_MANY
 
     def _ask_rates(self, steered: Steered, now_s: float) -> None:
         """Ask for positions where none come: after first contact, and after a reboot."""
@@ -337,6 +353,8 @@ class MavlinkLink:
         values = await self.parameters(robot, inspect.NAMES[vehicle.firmware])
         await self._clock.sleep(SETTLE_S)
         checks = inspect.condition(vehicle, self._clock.elapsed_s())
+        if vehicle.doubles:
+            return checks
         if words := self._rival():
             checks.append(Check(robot, "identity", "red", words, "end the other mission"))
         checks += inspect.failsafes(robot, vehicle.firmware, values, self._own_id)

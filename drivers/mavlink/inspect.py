@@ -111,25 +111,21 @@ def _listens_to_us(robot: str, firmware: Firmware, values: Values, own_id: int) 
 
 
 def condition(vehicle: Vehicle, now_s: float, max_age_s: float = 2.0) -> list[Check]:
-    """Position, readiness to arm, battery and link, from what it says by itself."""
-    name, checks = vehicle.robot, []
+    """Position, readiness to arm, battery and link, from what it says by itself. Of two nothing else is told."""
+    name = vehicle.robot
     if vehicle.doubles:
         remedy = "give each its own MAV_SYSID (SYSID_THISMAV before 4.7)"
-        checks.append(
-            Check(name, "identity", "red", f"two vehicles answer to id {vehicle.system_id}", remedy)
-        )
-    else:
-        firmware = vehicle.firmware.name if vehicle.firmware is not None else "an unknown firmware"
-        level: Level = "green" if vehicle.firmware is not None else "red"
-        checks.append(Check(name, "identity", level, f"system {vehicle.system_id}, {firmware}"))
-    checks += [
+        return [Check(name, "identity", "red", f"two vehicles answer to id {vehicle.system_id}", remedy)]
+    firmware = vehicle.firmware.name if vehicle.firmware is not None else "an unknown firmware"
+    level: Level = "green" if vehicle.firmware is not None else "red"
+    return [
+        Check(name, "identity", level, f"system {vehicle.system_id}, {firmware}"),
         _position(vehicle, now_s, max_age_s),
         _estimator(vehicle),
         _readiness(vehicle),
         _battery(vehicle),
         _link(vehicle),
     ]
-    return checks
 
 
 def _position(vehicle: Vehicle, now_s: float, max_age_s: float) -> Check:

@@ -133,6 +133,8 @@ async def test_must_reject_two_vehicles_with_one_id():
         count = len(t.poses())
         await t.sleep(2.0)
         assert len(t.poses()) == count, "poses of two vehicles are mixed"
+        (check,) = await t.link.inspect("ada", [(0.0, 0.0), (9.0, 0.0), (9.0, 9.0)])
+        assert check.level == "red" and "two vehicles answer to id 1" in check.found
         twins[0].autopilot.mode = GUIDED
         await t.link.hold("ada")
         await until(lambda: twins[0].autopilot.mode == HOLD)

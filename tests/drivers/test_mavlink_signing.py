@@ -150,7 +150,7 @@ def test_a_missing_or_empty_key_is_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize("key", [KEY, OTHER], ids=["right key", "wrong key"])
-async def test_a_signed_link_hears_and_steers_only_with_the_right_key(tmp_path, key):
+async def test_a_signed_link_hears_and_steers_only_with_the_right_key(tmp_path, key, caplog):
     path = tmp_path / "key"
     path.write_bytes(KEY)
     path.chmod(0o600)
@@ -169,6 +169,7 @@ async def test_a_signed_link_hears_and_steers_only_with_the_right_key(tmp_path, 
             with pytest.raises(DeviceTimeout, match="no heartbeat"):
                 await link.take_over("ada")
             await until(lambda: link._signer.refused > 0)
+            await until(lambda: "not signed with this link's key" in caplog.text)
 
 
 @pytest.mark.parametrize("strict", [True, False], ids=["signed alone", "unsigned too"])
