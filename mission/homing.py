@@ -95,9 +95,10 @@ class Homing:
         for other in robots.values():
             if other is robot or other.place_m is None:
                 continue
-            its = (
-                home_way(other) if other.name in self.under_way else (other.way() or standing(other.place_m))
-            )
+            if other.name in self.under_way:
+                its = home_way(other)
+            else:
+                its = other.unseen(settings) or other.way() or standing(other.place_m)
             # Side by side is where robots start: only a way that comes nearer than now is in the way.
             now_m = math.dist(mine.start_m, its.start_m)
             if ever_m(mine, its) < min(settings.near_m * 1.2, now_m - 0.01):

@@ -40,7 +40,7 @@ from fieldkit.messages import (
 )
 from mission.homing import Homing, home_way
 from mission.watch import SafetySettings, Trouble, Watched, trouble_of, unfit
-from mission.ways import Place, Way, ever_m, keep_apart_m, nearest_m, standing
+from mission.ways import Place, Way, ever_m, keep_apart_m, leaves, nearest_m, standing
 
 __all__ = ["Safety", "SafetySettings"]
 
@@ -303,7 +303,8 @@ class Safety:
         for mover, other in ((second, first), (first, second)):
             if other.somewhere is None or not self._drives(mover.robot):
                 continue
-            if ever_m(mover.soon, other.somewhere) < self.settings.near_m:
+            near_m, ground = self.settings.near_m, other.somewhere
+            if ever_m(mover.soon, ground) < near_m and not leaves(mover.soon, ground, near_m):
                 return mover.robot
         one, two = first.soon, second.soon
         if not (one.length_m or two.length_m) or keep_apart_m(one, two) >= self.settings.near_m:
@@ -373,17 +374,19 @@ class Safety:
         for name, lie in lies.items():
             if name == robot.name or name in undecided:
                 continue
+            if lie.somewhere is not None:
+                nearest = ever_m(way, lie.somewhere)
+                if nearest < limit_m and not leaves(way, lie.somewhere, limit_m):
+                    return f"its way comes within {nearest:.2f} m of where {name} may be"
+                continue
             new = ways.get(name)
             for its in lie.ways if new is None else (new,):
                 if keep_apart_m(way, its) >= limit_m:
                     continue
                 least_m = min(limit_m, math.dist(way.start_m, its.start_m) - 0.01)
-                if lie.somewhere is not None:
-                    nearest = ever_m(way, lie.somewhere)
-                elif ever_m(way, its) > least_m + SLACK_M:
+                if ever_m(way, its) > least_m + SLACK_M:
                     continue  # they keep clear whenever they start
-                else:
-                    nearest = min(nearest_m(way, its, a, b) for a, b in _starts(its))
+                nearest = min(nearest_m(way, its, a, b) for a, b in _starts(its))
                 if nearest < least_m:
                     return f"its way comes within {nearest:.2f} m of {name}"
         return ""

@@ -155,13 +155,21 @@ class Watched:
         return (way,) if self.moving or way.length_m == 0 else (way, standing(here))
 
     def unseen(self, settings: SafetySettings) -> Way | None:
-        """Where it may be by now, if its position is old: anywhere on what it can have driven since; else None."""
-        way = self.way()
-        if self.pose is None or way is None or way.length_m == 0:
+        """Where it may be, if its position is old: anywhere on what it can have driven since, until it is seen again.
+
+        None while its position is good, and where it stood when that was lost.
+        """
+        here, drives = self.place_m, self.target
+        if self.pose is None or here is None:
             return None
         if (self.now_ns - self.pose.t_ns) * 1e-9 <= settings.pose_timeout_s:
             return None
-        return replace(way, end_m=way.at(FADING_S))
+        if drives is None and (self.pose.t_ns - self.stopped_ns) * 1e-9 < FADING_S:
+            drives = self.fading  # told to stop, and not seen to stand
+        if drives is None:
+            return None
+        way = Way(here, drives.end_m, drives.speed_m_s)
+        return replace(way, end_m=way.at(FADING_S)) if way.length_m else None
 
     @property
     def strays(self) -> bool:

@@ -76,6 +76,20 @@ def ever_m(one: Way, other: Way) -> float:
     )
 
 
+def leaves(way: Way, ground: Way, clear_m: float) -> bool:
+    """Whether a way that starts on or beside another's ground leads off it at once, and clear of it.
+
+    At more than 30 degrees: the distance from a straight ground grows all along a straight way that begins so.
+    """
+    if way.length_m == 0:
+        return False
+    share = min(1.0, clear_m / way.length_m)
+    (e0, n0), (e1, n1) = way.start_m, way.end_m
+    places = (way.start_m, (e0 + share * (e1 - e0), n0 + share * (n1 - n0)), way.end_m)
+    at_start_m, soon_m, at_end_m = (to_segment_m(place, ground.start_m, ground.end_m) for place in places)
+    return at_end_m >= clear_m and soon_m >= at_start_m + 0.5 * share * way.length_m
+
+
 def to_segment_m(point: Place, start: Place, end: Place) -> float:
     """Distance of a point from a segment."""
     return _from_origin(

@@ -169,6 +169,27 @@ def test_a_robot_not_seen_any_more_may_be_anywhere_on_its_way() -> None:
     for target in ((10.0, 6.0), (10.0, 9.0)):
         assert isinstance(field.send(("a", *target))[0], Hold)
     assert isinstance(field.send(("a", 2.0, 14.0))[0], GoTo)
+    field.ask("hold", "a")
+    field.ask("resume", "a")
+    field.tick(60)
+    assert isinstance(field.send(("a", 10.0, 9.0))[0], Hold), "nobody has seen it stand since"
+    field.dumb.clear()
+    field.tick(5)
+    assert isinstance(field.send(("a", 10.0, 9.0))[0], GoTo), "seen again, and not there"
+
+
+def test_a_robot_where_a_lost_one_may_be_can_drive_off_but_not_along() -> None:
+    field = Field()
+    field.send(("b", 6.0, 15.0))
+    field.tick(2)
+    field.dumb.add("b")
+    field.goal["b"] = None
+    field.at["a"] = (6.3, 6.0)
+    field.tick(60)
+    assert isinstance(field.send(("a", 6.3, 12.0))[0], Hold)
+    assert isinstance(field.send(("a", 12.0, 6.5))[0], GoTo)
+    field.tick(10)
+    assert field.at["a"][0] > 10.0, "it was not stopped on its way off"
 
 
 def test_two_robots_too_near_may_drive_apart() -> None:
