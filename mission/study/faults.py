@@ -35,6 +35,7 @@ from mission.config import Mission, read_mission
 from mission.replay import replay, resumable
 from mission.rigs import Rig, replace_options, start_places, with_vehicles
 from mission.runner import Runner
+from mission.safety import SafetySettings
 from mission.study.pool import Progress, run_trials
 from mission.synthetic import ANTENNA, LEVELS_DB
 from mission.template import TemplateRobot, mission_text
@@ -299,6 +300,7 @@ async def _happen(flight: Flight, fault: Fault, port: int) -> None:
         return
     victims = list(flight.fleet.rovers.values()) if not fault.robot else [flight.fleet.rovers[fault.robot]]
     begin, end = _ACTS[fault.kind]
+    goes_on = _goes_on_by_itself(fault, victims[0].holds, flight.mission.safety)
     for rover in victims:
         await begin(rover, flight, fault)
     if fault.kind in STOPS:
@@ -311,9 +313,16 @@ async def _happen(flight: Flight, fault: Fault, port: int) -> None:
     if fault.kind in RESUMED:
         targets = len(victims[0].targets)
         await flight.clock.sleep(RESUME_S)
-        if fault.kind in STOPS and len(victims[0].targets) > targets and not _forgiven(flight):
+        waits = fault.kind in STOPS and not goes_on
+        if waits and len(victims[0].targets) > targets and not _forgiven(flight):
             flight.resumed_wrongly.append(f"{fault.robot} after {fault.kind}")
         flight.operator("resume", fault.robot)
+
+
+def _goes_on_by_itself(fault: Fault, held: bool, limits: SafetySettings) -> bool:
+    """A robot that stood under a hold of ours when it lost its position, and has it back before we call for help."""
+    call_s = limits.call_after_s + limits.pose_timeout_s
+    return fault.kind == "GPS loss" and held and fault.until_s - fault.at_s <= call_s
 
 
 def _forgiven(flight: Flight) -> bool:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from fieldkit import jumploop
+from mission.safety import SafetySettings
 from mission.study import faults
-from mission.study.faults import KINDS, LARGE, SMALL, Job, draw_faults, summary, trial
+from mission.study.faults import KINDS, LARGE, SMALL, Fault, Job, draw_faults, summary, trial
 
 
 def test_faults_come_from_the_seed_and_every_kind_comes_up() -> None:
@@ -53,6 +54,15 @@ def test_the_judge_sees_two_ways_that_meet() -> None:
     assert faults._would_meet("a", "b", place, heading, 0.25)
     heading["b"] = (np.array([4.0, 4.0]), 0.4)
     assert not faults._would_meet("a", "b", place, heading, 0.25)
+
+
+def test_only_a_short_loss_of_position_under_our_own_hold_needs_no_resume() -> None:
+    limits = SafetySettings(("a",), 10.0, 10.0, call_after_s=30.0, pose_timeout_s=2.0)
+    short, long = Fault("GPS loss", "a", 100.0, 131.0), Fault("GPS loss", "a", 100.0, 140.0)
+    assert faults._goes_on_by_itself(short, True, limits)
+    assert not faults._goes_on_by_itself(short, False, limits), "its own failsafe has taken it from us"
+    assert not faults._goes_on_by_itself(long, True, limits)
+    assert not faults._goes_on_by_itself(replace(short, kind="link loss"), True, limits)
 
 
 def test_time_jumps_and_sockets_do_not() -> None:
