@@ -23,6 +23,7 @@ from fieldkit.errors import RecordingError
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, Pose, SourceEstimate
 from fieldkit.recording import codec, viewer
+from fieldkit.recording.disk import DiskSync
 from fieldkit.recording.schema import (
     BY_KIND,
     HEADER,
@@ -104,6 +105,7 @@ class RecordingWriter:
         self._closed = False
         self._warned_of_space = False
         self._short_of_space = False
+        self._disk = DiskSync()
         self._header = {
             "schema": SCHEMA,
             "fieldkit": __version__,
@@ -220,6 +222,7 @@ class RecordingWriter:
         """How the mission ended: any plain values. On disk when this returns."""
         self._write(RESULT.name, codec.encode_value(dict(result)), inbox_number, log_time_ns, log_time_ns)
         self.flush()
+        self._guard(self._disk.wait)
 
     def note(self, level: Level, text: str, log_time_ns: int = 0) -> None:
         """A line for whoever reads the log later; without a time, the time of the last message."""
@@ -250,7 +253,7 @@ class RecordingWriter:
         self._guard(self._keep_time)
 
     def flush(self) -> None:
-        """Everything so far to the disk itself. For moments that matter: a source found, a fault."""
+        """Everything so far to the disk itself, without waiting for it. For moments that matter: a source found."""
         self._guard(self._sync)
 
     def close(self) -> None:
@@ -262,6 +265,7 @@ class RecordingWriter:
         # A disk that failed before may fail once more for what is still buffered.
         with contextlib.suppress(OSError):
             self._stream.close()
+        self._disk.close()
 
     def __enter__(self) -> Self:
         return self
@@ -325,7 +329,8 @@ class RecordingWriter:
 
     def _sync(self) -> None:
         close_chunk(self._mcap)
-        os.fsync(self._stream.fileno())
+        self._stream.flush()
+        self._disk.ask(self._stream.fileno())
         self._chunk_ns, self._sync_ns = None, self._now_ns
         self._look_at_space()
 
@@ -349,6 +354,7 @@ class RecordingWriter:
     def _finish(self) -> None:
         self._mcap.finish()
         self._stream.flush()
+        self._disk.wait()
         os.fsync(self._stream.fileno())
 
     def _guard(self, action: Callable[[], None]) -> None:

@@ -1,5 +1,7 @@
 """What was recorded is what is read, in file order; other people's readers accept the file."""
 
+import threading
+
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -116,6 +118,44 @@ def test_a_full_disk_ends_the_recording_not_the_mission(tmp_path, caplog):
     assert "No space left" in writer.failure
     assert len(caplog.records) == 1
     assert [n for n, _, _ in open_recording(tmp_path / "m.mcap").events()] == [0]
+
+
+def test_a_disk_that_stalls_does_not_stall_the_mission(tmp_path, monkeypatch):
+    stalls, synced = threading.Event(), []
+
+    def fsync(descriptor):
+        assert stalls.wait(10.0)
+        synced.append(descriptor)
+
+    monkeypatch.setattr("fieldkit.recording.disk.os.fsync", fsync)
+    stalls.set()
+    writer = RecordingWriter(tmp_path / "m.mcap")
+    writer._disk.wait()
+    stalls.clear()
+    synced.clear()
+    for number in range(600):  # a minute, and a note every second
+        writer.event(number, number * 100_000_000, Tick(number))
+        if number % 10 == 0:
+            writer.flush()
+    assert not synced and [n for n, _, _ in open_recording(tmp_path / "m.mcap").events()][-1] >= 590
+    stalls.set()
+    writer.result(599, 60_000_000_000, {"end_reason": "done"})
+    assert len(synced) in (2, 3), "one that was under way, one that waited, and one for the result"
+    writer.close()
+
+
+def test_a_disk_that_fails_later_ends_the_recording_not_the_mission(tmp_path, monkeypatch):
+    writer = RecordingWriter(tmp_path / "m.mcap")
+    writer._disk.wait()
+
+    def fails(descriptor):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("fieldkit.recording.disk.os.fsync", fails)
+    writer.result(0, 1, {})
+    writer.event(1, 2, Tick(2))
+    writer.close()
+    assert "Input/output error" in writer.failure
 
 
 def test_a_disk_getting_full_costs_the_raw_bytes_first(tmp_path, caplog, monkeypatch):
