@@ -154,6 +154,31 @@ def test_on_a_phone_hold_all_is_in_reach_wherever_one_scrolls(browser: Any, flow
         wait_until(lambda: modes(flown) == {"hold"})
 
 
+@pytest.mark.parametrize("width", [390, 320])
+def test_on_a_phone_nothing_lies_over_hold_all_and_no_button_is_cut_off(
+    browser: Any, flown: Flown, width: int
+) -> None:
+    phone = {"viewport": {"width": width, "height": 700}, "has_touch": True, "is_mobile": True}
+    with looking(browser, flown.page.command_address, **phone) as tab:
+        tab.wait_for_function(LIVE)
+        tab.locator("#hold-all").dispatch_event("pointerdown")
+        tab.wait_for_function("() => document.querySelectorAll('.card .mode.hold').length === 4")
+        others = tab.evaluate(
+            """() => {
+                const button = document.getElementById('hold-all'), box = button.getBoundingClientRect();
+                const on = (x, y) => document.elementFromPoint(box.x + x * box.width, box.y + y * box.height);
+                const places = [0.05, 0.2, 0.5, 0.8, 0.95];
+                return places.flatMap((x) => places.map((y) => on(x, y)))
+                    .filter((each) => !button.contains(each)).length;
+            }"""
+        )
+        assert others == 0
+        rights = tab.evaluate(
+            "[...document.querySelectorAll('.card .act')].map((each) => each.getBoundingClientRect().right)"
+        )
+        assert len(rights) == 16 and max(rights) <= width
+
+
 # Who may command
 
 

@@ -67,12 +67,13 @@ function fillCard(part, robot) {
   set(part.link, age(robot.link_age_s), robot.link_age_s > 5 ? "bad" : robot.link_age_s > 2 ? "warn" : "");
   set(part.pose, age(robot.pose_age_s), robot.pose_age_s > model.hello.pose_timeout_s ? "bad" : "");
   const answer = robot.answer === "done" ? "✓" : robot.answer === "..." ? "…" : robot.answer ? `✗ ${robot.answer}` : "";
-  const words = [robot.command && `${robot.command} ${robot.why}`, answer].filter(Boolean).join(" ");
+  const colon = robot.command === "go to" || !robot.why ? "" : ":";
+  const words = [robot.command && `${robot.command}${colon} ${robot.why}`, answer].filter(Boolean).join(" ");
   set(part.last, [words, robot.text].filter(Boolean).join("  ·  "));
   part.hold.parentElement.hidden = !model.hello.live;
   for (const action of ["hold", "return", "release", "resume"]) part[action].disabled = !model.mayCommand;
 }
-const age = (seconds) => (seconds === null ? "–" : seconds < 1 ? "now" : `${seconds.toFixed(seconds < 10 ? 1 : 0)} s ago`);
+const age = (seconds) => (seconds === null ? "–" : seconds < 1 ? "now" : seconds < 100 ? `${seconds.toFixed(seconds < 10 ? 1 : 0)} s ago` : `${clock(seconds)} ago`);
 
 function robots(frame) {
   const box = $("robots").querySelector(".cards");
@@ -111,7 +112,7 @@ function sources(frame) {
     set(part.where, `${source.east_m.toFixed(1)} m E, ${source.north_m.toFixed(1)} m N`);
     set(part.p, `${Math.round(100 * source.p)} %`, `p ${source.state}`);
     const spread = source.half_axes_m[0] === null ? "" : `90 % within ${source.half_axes_m[0].toFixed(1)} m`;
-    set(part.more, [source.state, spread, `heard ${source.receptions.toFixed(0)} ×`, source.note].filter(Boolean).join(" · "));
+    set(part.more, [source.state, spread, `heard ${source.receptions.toFixed(0)}×`, source.note].filter(Boolean).join(" · "));
     part.button.parentElement.hidden = !model.hello.live || source.state === "removed" || source.state === "candidate";
     part.button.disabled = !model.mayCommand;
   });
