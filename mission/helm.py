@@ -39,6 +39,8 @@ class Helm:
         self._ready = {robot: asyncio.Event() for robot in self.link_of}
         self._frozen: Counter[str] = Counter()
         self._last_beat_s = -BEAT_S
+        self._told: dict[str, str] = {}
+        """Robot to why its last order failed: said once, not as often as it is repeated."""
         self.answers: dict[str, tuple[str, str]] = {}
         """Robot to its last order and how that went: "..." under way, "done", or why not."""
 
@@ -129,10 +131,13 @@ class Helm:
             try:
                 await _carry_out(link, robot, order)
                 self.answers[robot] = (name, "done")
+                self._told.pop(robot, None)
             except DeviceError as error:
                 self.answers[robot] = (name, str(error))
-                logger.warning("%s: %s", robot, error)
-                self._note("warning", f"{robot}: {name}: {error}")
+                if self._told.get(robot) != str(error):
+                    self._told[robot] = str(error)
+                    logger.warning("%s: %s", robot, error)
+                    self._note("warning", f"{robot}: {name}: {error}")
 
 
 async def _carry_out(link: VehicleLink, robot: str, order: Command | str) -> None:

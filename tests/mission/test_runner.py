@@ -15,6 +15,7 @@ from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
 from fieldkit.world.rover import Rover
+from mission.helm import Helm
 from mission.replay import replay
 from mission.rigs import Rig, start_places
 from mission.runner import Progress, Runner
@@ -217,3 +218,24 @@ async def test_the_fake_fleet_refuses_what_a_vehicle_would(tmp_path: Path) -> No
             await fleet.goto("a", Waypoint(1.0, 1.0, 0.3))
         with pytest.raises(DeviceError, match="no vehicle 'b'"):
             await fleet.hold("b")
+
+
+async def test_an_order_that_fails_again_and_again_is_noted_once(tmp_path: Path) -> None:
+    class Silent(FakeFleet):
+        async def hold(self, robot: str) -> None:
+            asked.set()
+            raise DeviceTimeout("a: no answer to 5 attempts; check the link")
+
+    clock, asked, notes = ScaledClock(20.0), asyncio.Event(), []
+    link = Silent({"a": Rover(0.0, 0.0)}, clock)
+    helm = Helm((link,), clock, lambda level, text: notes.append(text))
+    tasks = helm.tasks()
+    for _ in range(3):
+        asked.clear()
+        helm.order("a", Hold(0, "a", "its link is down"))
+        await asked.wait()
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+    assert notes == ["a: Hold: a: no answer to 5 attempts; check the link"]
+    assert helm.answers["a"][1].startswith("a: no answer")
