@@ -7,6 +7,7 @@ Lists are bounded: long ones are thinned, so that a day costs no more memory tha
 
 import base64
 import math
+import re
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -44,6 +45,7 @@ KEPT = 300
 """Detections and notes a new browser gets."""
 NORMAL_90 = 2.146
 """90 % of a plane normal lies within this many standard deviations."""
+_NUMBERS = re.compile(r"\d+(\.\d+)?")
 
 Answers = Callable[[], Mapping[str, tuple[str, str]]]
 
@@ -115,7 +117,8 @@ class View:
             case GoTo(_, _, waypoint):
                 self._commands[robot.name] = ("go to", f"{waypoint.east_m:.1f}, {waypoint.north_m:.1f} m")
             case Hold(_, _, reason):
-                if self._commands.get(robot.name) != ("hold", reason) and not reason.startswith("operator"):
+                same = _is_same(self._commands.get(robot.name), ("hold", reason))
+                if not same and not reason.startswith("operator"):
                     self._tell(f"{robot.name} holds: {reason}", log_time_ns)
                 self._commands[robot.name] = ("hold", reason)
                 self._paths.pop(robot.name, None)
@@ -339,6 +342,11 @@ def _source(source: SourceEstimate) -> dict[str, Any]:
         "rate_hz": _finite(plain["rate_hz"], 4),
         "note": source.note,
     }
+
+
+def _is_same(before: tuple[str, str] | None, now: tuple[str, str]) -> bool:
+    """Whether a command is the one before, but for its numbers: ages count up while nothing happens."""
+    return before is not None and _NUMBERS.sub("", " ".join(before)) == _NUMBERS.sub("", " ".join(now))
 
 
 def _finite(value: float, digits: int = 2) -> float | None:

@@ -5,7 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldkit.messages import CallOperator, Operator, Pose, ReceiverState, SourceEstimate, Tick, VehicleState
+from fieldkit.messages import (
+    CallOperator,
+    Hold,
+    Operator,
+    Pose,
+    ReceiverState,
+    SourceEstimate,
+    Tick,
+    VehicleState,
+)
 from mission.keyboard import meaning
 from mission.page.exposure import Exposure
 from mission.page.live import LiveShow
@@ -70,6 +79,17 @@ def test_ticks_in_quick_succession_make_no_more_than_a_few_frames_a_second(tmp_p
     assert 20 <= frames <= 26
     show.flush()
     assert page.calls == frames + 1, "what matters is shown at once"  # type: ignore[union-attr]
+
+
+def test_a_hold_that_is_repeated_is_told_once(tmp_path: Path) -> None:
+    view = View(small_mission(tmp_path))
+    for age_s in (2.5, 5.5, 120.5):
+        view.command(1, 0, Hold(0, "r1", f"its position is {age_s} s old (limit 2.0 s)"), "safety")
+    view.command(1, 0, Hold(0, "r1", "its radio is down for 10 s"), "safety")
+    assert [note["text"].split(" is ")[0] for note in view.notes] == [
+        "r1 holds: its position",
+        "r1 holds: its radio",
+    ]
 
 
 def test_the_region_of_a_source_holds_90_percent_of_it(tmp_path: Path) -> None:
