@@ -228,12 +228,12 @@ class Safety:
             return []
         trouble = trouble_of(robot, self.settings, now_ns)
         if trouble is None and self._late and robot.moving:
-            trouble = Trouble(self._late)
+            trouble = Trouble("late", self._late)
         if trouble is None:
             robot.troubled_ns = None
             return self._taken_over(robot, now_ns)
-        if robot.troubled_ns is None:
-            robot.troubled_ns = now_ns
+        if robot.troubled_ns is None or robot.trouble != trouble.kind:
+            robot.troubled_ns, robot.trouble = now_ns, trouble.kind
         lasted_s = (now_ns - robot.troubled_ns) * 1e-9
         return [*self._hold(robot, trouble, now_ns), *self._escalate(robot, trouble, lasted_s, now_ns)]
 

@@ -69,6 +69,8 @@ class SafetySettings:
 class Trouble:
     """Why a robot must not move, and what follows when that lasts."""
 
+    kind: Literal["position", "link", "battery", "radio", "fence", "near", "stuck", "late"]
+    """A trouble of another kind lasts from when it began, not from when the robot was first held."""
     reason: str
     then: Literal["operator", "return"] = "operator"
     after_s: float | None = None
@@ -92,7 +94,9 @@ class Watched:
     jumped_ns: int = LONG_AGO_NS
     held_ns: int = LONG_AGO_NS
     troubled_ns: int | None = None
-    """Since when it has had to be held."""
+    """Since when it has had to be held, for the present kind of trouble."""
+    trouble: str = ""
+    """That kind."""
     called: bool = False
     """The operator has been called about the present trouble."""
     too_near: bool = False
@@ -256,16 +260,17 @@ def trouble_of(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble
 def unfit(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | None:
     """What keeps a robot from being sent anywhere."""
     if reason := _position_fault(robot, settings, now_ns):
-        return Trouble(reason)
+        return Trouble("position", reason)
     if robot.vehicle is not None and not robot.vehicle.link_up:
-        return Trouble(f"its link is down: {robot.vehicle.text}".rstrip(": "))
+        return Trouble("link", f"its link is down: {robot.vehicle.text}".rstrip(": "))
     if reason := low_battery(robot, settings):
-        return Trouble(reason, "return", 0.0)
+        return Trouble("battery", reason, "return", 0.0)
     if robot.radio_down_ns is not None:
         down_s = (now_ns - robot.radio_down_ns) * 1e-9
         if down_s > settings.radio_timeout_s:
             reason = f"its radio is down for {down_s:.0f} s"
-            return Trouble(reason, "return", settings.radio_return_s - settings.radio_timeout_s)
+            # By its own time: other troubles may come in between.
+            return Trouble("radio", reason, "return", 0.0 if down_s >= settings.radio_return_s else math.inf)
     return None
 
 
@@ -273,18 +278,22 @@ def astray(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | N
     """What stops a robot that is under way."""
     pose = robot.pose
     if pose is None:
-        return Trouble("its position is unknown")
+        return Trouble("position", "its position is unknown")
     # One that set out from outside is on its way in.
     if _outside(robot.place_m, pose, settings) and not _outside(robot.set_out_m, pose, settings):
         return Trouble(
-            f"it is outside the fence, at {pose.east_m:.1f} m east, {pose.north_m:.1f} m north", after_s=0.0
+            "fence",
+            f"it is outside the fence, at {pose.east_m:.1f} m east, {pose.north_m:.1f} m north",
+            after_s=0.0,
         )
     if settings.keep_out.contains(np.array([[pose.east_m, pose.north_m]]))[0]:
-        return Trouble("it has entered ground it must keep out of", after_s=0.0)
+        return Trouble("fence", "it has entered ground it must keep out of", after_s=0.0)
     if robot.too_near:
-        return Trouble(f"it is, or would soon be, nearer than {settings.near_m:.2f} m to another robot")
+        return Trouble(
+            "near", f"it is, or would soon be, nearer than {settings.near_m:.2f} m to another robot"
+        )
     if reason := _stall(robot, settings, now_ns):
-        return Trouble(reason, after_s=0.0)
+        return Trouble("stuck", reason, after_s=0.0)
     return None
 
 

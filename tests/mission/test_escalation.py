@@ -327,6 +327,21 @@ def test_a_silent_radio_holds_then_goes_home() -> None:
     assert math.dist(field.at["a"], field.home["a"]) < 0.6
 
 
+def test_a_short_trouble_within_a_long_one_does_not_call_for_help() -> None:
+    field = Field()
+    field.send(("a", 2.0, 15.0))
+    field.tick(5)
+    field.safety.observe(ReceiverState(field.t_s * S, "a", False, "unplugged"))
+    field.tick(60)
+    field.dumb.add("a")
+    field.tick(5)
+    field.dumb.clear()
+    field.tick(20)
+    assert not field.said(CallOperator, "a"), "its position was old for three seconds, not for a minute"
+    field.tick(60)
+    assert len(field.said(Return, "a")) == 1, "and its radio was down all the time"
+
+
 def test_a_radio_that_comes_back_soon_changes_nothing() -> None:
     field = Field()
     field.send(("a", 2.0, 15.0))

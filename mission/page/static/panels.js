@@ -111,7 +111,7 @@ function sources(frame) {
     set(part.ident, String(source.ident), `ident ${source.state}`);
     set(part.where, `${source.east_m.toFixed(1)} m E, ${source.north_m.toFixed(1)} m N`);
     set(part.p, `${Math.round(100 * source.p)} %`, `p ${source.state}`);
-    const spread = source.half_axes_m[0] === null ? "" : `90 % within ${source.half_axes_m[0].toFixed(1)} m`;
+    const spread = source.half_axes_m[0] === null ? "" : `90 % in ${source.half_axes_m[0].toFixed(1)} m`;
     set(part.more, [source.state, spread, `heard ${source.receptions.toFixed(0)}×`, source.note].filter(Boolean).join(" · "));
     part.button.parentElement.hidden = !model.hello.live || source.state === "removed" || source.state === "candidate";
     part.button.disabled = !model.mayCommand;
