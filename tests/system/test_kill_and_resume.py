@@ -67,10 +67,10 @@ def test_a_killed_mission_holds_and_is_resumed_with_the_same_belief(tmp_path: Pa
 
         first = fieldkit(tmp_path, "run", "mission.toml")
         wait_until(lambda: modes(field) == {GUIDED})
-        wall_sleep(12.0)
+        (log,) = (tmp_path / "runs").glob("*/mission.mcap")
+        wait_until(lambda: any(open_recording(log).detections()))
         first.send_signal(signal.SIGKILL)
         first.communicate()
-        (log,) = (tmp_path / "runs").glob("*/mission.mcap")
         wait_until(lambda: modes(field) == {HOLD}, 30.0)  # their own failsafe: nobody is left to tell them
 
         left = open_recording(log)
