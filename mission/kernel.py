@@ -67,7 +67,7 @@ class KernelSettings:
 MOST_AT_ONCE = 5
 """Transmissions taken in at one tick: a step that takes seconds would leave nobody at the helm."""
 MOST_WAITING = 200
-NEWS_RANGES = 1.5
+NEWS_RANGES = 2.0
 """Within so many nominal ranges of the loudest source, what a robot hears may be from a source not found yet."""
 NEWS_EVERY_S = 5.0
 """A team is not planned for anew more often on what it hears."""

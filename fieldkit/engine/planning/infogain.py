@@ -27,7 +27,7 @@ GROUND_PATHS = 60
 PATHS_PER_CANDIDATE = 16
 MAX_CANDIDATES = 6
 SAMPLES = 16
-SPACINGS = (0.6, 1.0, 1.6)
+SPACINGS = (0.6, 1.3, 2.0)
 """How far abreast teams may search, in typical ranges; candidates are resolved at the first."""
 GROUND_VALUE = 1.0
 GROUND_BLOCK = 0.4

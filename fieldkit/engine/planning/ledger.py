@@ -20,14 +20,14 @@ from fieldkit.messages import FloatArray
 STEP_S = 1.5
 """Between the points of a track."""
 RESOLVE_VALUE = 2.0
-RECEPTION_VALUE = 0.4
+RECEPTION_VALUE = 0.3
 TARGET_CELLS = 0.45
 """Standard deviation, in cells, at which a place is certain to within one cell."""
-GROUND_RATE = 0.5
+GROUND_RATE = 0.25
 """Unheard sources are taken to send at this share of the reference rate: those that send more have been heard."""
 SETTLED_CELLS = 0.25
 """The same for a find that is looked at once more."""
-SETTLE_VALUE = 2.0
+SETTLE_VALUE = 4.0
 """Of a find's place made certain, by the probability that it lies a cell off."""
 DOUBTFUL_VALUE = 0.3
 """Of readings that the model does not explain: more of them seldom help."""
