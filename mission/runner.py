@@ -354,6 +354,8 @@ class Runner:
         for receiver in self.rig.receivers:
             self.put(ReceiverState(self._resumed_ns, receiver.robot, False, "the mission was interrupted"))
             self.put(ReceiverState(now_ns, receiver.robot, True, "the mission goes on"))
+        for name in self.helm.link_of:  # what it was doing then says nothing of now
+            self.put(VehicleState(now_ns, name, "unknown", False, False, None, "not heard since then"))
         for name, robot in self.safety.robots.items():
             if robot.called and not robot.ordered:
                 self.put(Operator(now_ns, "withdraw", name, "called for before the interruption"))
