@@ -9,6 +9,7 @@ import asyncio
 import json
 import tempfile
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -89,14 +90,15 @@ async def _measure(runner: Runner, shown: serve.LivePage) -> dict[str, Any]:
     clock, kernel = runner.rig.clock, runner.kernel
     late_ms: list[float] = []
     heard: list[int] = []
-    detect = kernel.belief.detect
+    detect_all = kernel.belief.detect_all
 
-    def timed(detection: Detection) -> None:
-        detect(detection)
-        late_ms.append((clock.now_ns() - detection.t_ns) * 1e-6)
-        heard.append(int(detection.heard.sum()))
+    def timed(detections: Sequence[Detection]) -> None:
+        detect_all(detections)
+        for detection in detections:
+            late_ms.append((clock.now_ns() - detection.t_ns) * 1e-6)
+            heard.append(int(detection.heard.sum()))
 
-    kernel.belief.detect = timed  # type: ignore[method-assign]
+    kernel.belief.detect_all = timed  # type: ignore[method-assign]
     shown.attach(runner)
     running = asyncio.create_task(runner.run())
     while kernel.started_ns is None and not running.done():  # noqa: ASYNC110 the mission has no such event

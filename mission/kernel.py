@@ -67,6 +67,8 @@ class KernelSettings:
 MOST_AT_ONCE = 5
 """Transmissions taken in at one tick: a step that takes seconds would leave nobody at the helm."""
 MOST_WAITING = 200
+REFLECT_S = 2.0
+"""Thinking over waits for a moment without a transmission, but no longer than this."""
 NEWS_RANGES = 2.0
 """Within so many nominal ranges of the loudest source, what a robot hears may be from a source not found yet."""
 NEWS_EVERY_S = 5.0
@@ -140,6 +142,7 @@ class Kernel:
         self._now_ns = 0
         self._errands: dict[tuple[str, ...], _Errand] = {}
         self._next_plan_ns: int | None = None
+        self._reflected_ns = 0
         self._unplanned: set[tuple[str, ...]] = set()
         """Teams that wait for a plan."""
         self._planned_ns: dict[tuple[str, ...], int] = {}
@@ -256,18 +259,28 @@ class Kernel:
         detections, stretches = self._due(now_ns, notes)
         for stretch in stretches:
             self.belief.listen(stretch)
-        if detections:
-            self.belief.detect_all(detections)
-            self.detections += len(detections)
-            self._sources = None
-        found_more = bool(detections) and self._note_finds(now_ns, notes)
-        if reason := self._finished(now_ns, bool(detections)):
+        changed = self._believe(now_ns, detections)
+        found_more = changed and self._note_finds(now_ns, notes)
+        if reason := self._finished(now_ns, changed):
             ended = self._end(now_ns, reason)
             return Outcome(ended.commands, tuple(detections), None, (*notes, *ended.notes))
         self._unplanned.update(self._with_news(now_ns, teams, detections))
         plan = self._plan(now_ns, self._to_plan(now_ns, teams, found_more))
         commands = self._follow(now_ns)
         return Outcome(tuple(commands), tuple(detections), plan, tuple(notes))
+
+    def _believe(self, now_ns: int, detections: list[Detection]) -> bool:
+        """Take in what was heard, or think it over when nothing is; whether the belief may have changed."""
+        if detections:
+            self.belief.detect_all(detections)
+            self.detections += len(detections)
+        changed = bool(detections)
+        if not detections or (now_ns - self._reflected_ns) * 1e-9 > REFLECT_S:
+            self._reflected_ns = now_ns
+            changed = self.belief.reflect() or changed
+        if changed:
+            self._sources = None
+        return changed
 
     def _with_news(
         self, now_ns: int, teams: tuple[tuple[str, ...], ...], detections: list[Detection]
@@ -351,7 +364,7 @@ class Kernel:
             changed = True
         return changed
 
-    def _finished(self, now_ns: int, detections: bool) -> str:
+    def _finished(self, now_ns: int, changed: bool) -> str:
         if self.elapsed_s(now_ns) >= self.settings.max_duration_s:
             return f"time is up ({self.settings.max_duration_s:.0f} s)"
         if self._steered_ns is not None and (now_ns - self._steered_ns) * 1e-9 > self.settings.idle_limit_s:
@@ -365,7 +378,7 @@ class Kernel:
             if self.elapsed_s(now_ns) - latest_s >= periods * self.settings.engine.planning_period_s:
                 return f"nothing more was found in {periods} planning periods"
         limit = self.settings.stop_probability_left
-        if limit is None or not (detections or self._next_plan_ns is None or now_ns >= self._next_plan_ns):
+        if limit is None or not (changed or self._next_plan_ns is None or now_ns >= self._next_plan_ns):
             return ""  # it changes slowly and costs a look at the whole field
         if (left := self.belief.probability_left()) < limit:
             return f"the probability that a source is left is {left:.3f}"

@@ -17,7 +17,11 @@ class Belief(Protocol):
         ...
 
     def detect_all(self, detections: Sequence[Detection]) -> None:
-        """Take in several, which a belief may do with one look at them all."""
+        """Take in several, which a belief may do with one look at them all; what takes long is left to `reflect`."""
+        ...
+
+    def reflect(self) -> bool:
+        """Think over what has been taken in, now that nothing is heard; whether anything has changed."""
         ...
 
     def listen(self, listening: Listening) -> None:

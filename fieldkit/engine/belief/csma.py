@@ -65,6 +65,10 @@ class CsmaBelief:
         for detection in detections:
             self.detect(detection)
 
+    def reflect(self) -> bool:
+        """Nothing is left to think over."""
+        return False
+
     def listen(self, listening: Listening) -> None:
         """Silence says nothing in this belief."""
 

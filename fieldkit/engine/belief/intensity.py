@@ -73,13 +73,21 @@ class IntensityBelief:
         self.mixture.listen(listening)
 
     def detect(self, detection: Detection) -> None:
-        """Take in a transmission, and judge the candidates anew."""
+        """Take in a transmission, judge the candidates anew, and think it over."""
         self.detect_all((detection,))
+        self.reflect()
 
     def detect_all(self, detections: Sequence[Detection]) -> None:
-        """The same for several at once: one look at who sent what."""
+        """Take in several with one look at who sent what; stories are told by `reflect`."""
         self.mixture.detect(detections)
         self._judge()
+
+    def reflect(self) -> bool:
+        """Tell the story of a candidate afresh where that is due; whether another story was better."""
+        changed = self.mixture.reflect()
+        if changed is not None:
+            self._judge()
+        return changed is not None
 
     def _judge(self) -> None:
         """Candidate, found or doubtful; a find that later evidence takes back says why."""

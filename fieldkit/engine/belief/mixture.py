@@ -106,10 +106,15 @@ class Mixture:
                 break
             self.sweep(SWEEPS)
         self._settle()
-        if stories.revise(self):
+        self._fold()
+
+    def reflect(self) -> bool | None:
+        """Tell the story of one candidate afresh; whether another was better, None where none was due."""
+        better = stories.revise(self)
+        if better:
             self.sweep(SWEEPS)
             self._settle()
-        self._fold()
+        return better
 
     def _open(self, detection: Detection) -> None:
         number = self._next_detection

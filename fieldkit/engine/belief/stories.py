@@ -22,71 +22,79 @@ FIRST = 5.0
 """Receptions at which a candidate's story is first told afresh; then at every 1.4 times as many."""
 UNDECIDED_NATS = -3.0
 """Evidence of the best story of two over that of one from which on somebody has to go and see."""
+CLEAR_NATS = -10.0
+"""The same from which on it need not be looked at again until there are twice as many receptions."""
 PLACE_ROUNDS = 6
 """Turns in which one of two places is chosen anew given the other."""
-TOLD_DETECTIONS = 40
-"""From twice as many on, only every second detection of a candidate is told, and so on."""
+TOLD_DETECTIONS = 30
+"""Of more than so many detections only every second is told, or every third, and so on."""
 TOLD_CELLS = 12
 """No source is sought further than this from where a candidate is."""
 BETTER_NATS = 1.0
 """Evidence by which another story must be better."""
 
 
-def revise(mixture: "Mixture") -> bool:
+def revise(mixture: "Mixture") -> bool | None:
     """Tell the story of a candidate afresh, as one source and as two; whether another story was better.
 
-    Points dropped early and shares that vouch for each other can hold a candidate in a wrong place, or hold two
-    near sources together. A doubtful candidate is looked at again soon, others ever more rarely. One
-    and two are compared on a point a cell; the better story is then told on the usual points.
+    One candidate a call, None where no story is due. Points dropped early and shares that vouch for each other can
+    hold a candidate in a wrong place, or hold two near sources together. A doubtful candidate is looked at again soon,
+    others ever more rarely. One and two are compared on a point a cell; the better story is then told on the usual
+    points.
     """
-    changed = told = False
-    for candidate in list(mixture.candidates):
+    for candidate in mixture.candidates:
         due = mixture.revise_at.setdefault(candidate.ident, FIRST)
-        count = candidate.receptions
-        if count < due or candidate.absorbed > 0.0:
-            continue
-        if told:  # one a look: the others wait for the next
-            break
-        told = True
-        doubtful = candidate.state == "doubtful"
-        mixture.revise_at[candidate.ident] = max(count + 0.9, (1.1 if doubtful else 1.4) * count)
-        share = _told(candidate)
-        blank = _fresh(mixture, candidate, share, spacing=1.0)
-        single = blank.copy()
-        single.set_shares(list(share), list(share.values()))
-        pairs = _two(mixture, blank, share)
-        scores = [_score(pair, share) for pair in pairs]
-        odds_nats = max(scores, default=-np.inf) - _score([single], share)
-        candidate.rival = None
-        undecided = odds_nats > UNDECIDED_NATS
-        if pairs:
-            places = np.array([_mean(part) for part in pairs[int(np.argmax(scores))]])
-            candidate.rival = Rival(float(1.0 / (1.0 + np.exp(-odds_nats))), places, undecided)
-        if undecided:
-            mixture.revise_at[candidate.ident] = min(mixture.revise_at[candidate.ident], count + 1.9)
-        if odds_nats > BETTER_NATS:
-            parts = [_retold(mixture, candidate, part.share) for part in pairs[int(np.argmax(scores))]]
-        else:
-            moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.grid.cell_m
-            if not (moved or doubtful):
-                continue
-            parts = [_retold(mixture, candidate, share)]
-            if _score(parts, share) < _score([candidate], share) + BETTER_NATS:
-                continue
-        mixture.remove(candidate)
-        parts[0].ident = candidate.ident
-        parts[0].state = candidate.state
-        mixture.candidates += parts
-        for retold in parts:
-            _know_all(mixture, retold)
-        changed = True
-    return changed
+        if candidate.receptions >= due and candidate.absorbed == 0.0:
+            return _revise(mixture, candidate)
+    return None
+
+
+def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
+    count, doubtful = candidate.receptions, candidate.state == "doubtful"
+    share = _told(candidate)
+    blank = _fresh(mixture, candidate, share, spacing=1.0)
+    single = blank.copy()
+    single.set_shares(list(share), list(share.values()))
+    pairs = _two(mixture, blank, share)
+    scores = [_score(pair, share) for pair in pairs]
+    odds_nats = max(scores, default=-np.inf) - _score([single], share)
+    undecided = odds_nats > UNDECIDED_NATS
+    candidate.rival = None
+    if pairs:
+        places = np.array([_mean(part) for part in pairs[int(np.argmax(scores))]])
+        candidate.rival = Rival(float(1.0 / (1.0 + np.exp(-odds_nats))), places, undecided)
+    mixture.revise_at[candidate.ident] = _next_look(count, odds_nats, doubtful)
+    if odds_nats > BETTER_NATS:
+        parts = [_retold(mixture, candidate, part.share) for part in pairs[int(np.argmax(scores))]]
+    else:
+        moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.grid.cell_m
+        if not (moved or doubtful):
+            return False
+        parts = [_retold(mixture, candidate, share)]
+        if _score(parts, share) < _score([candidate], share) + BETTER_NATS:
+            return False
+    mixture.remove(candidate)
+    parts[0].ident = candidate.ident
+    parts[0].state = candidate.state
+    mixture.candidates += parts
+    for retold in parts:
+        _know_all(mixture, retold)
+    return True
+
+
+def _next_look(count: float, odds_nats: float, doubtful: bool) -> float:
+    """Receptions at which to look again: soon where two are as likely as one, late where they are not at all."""
+    if odds_nats > UNDECIDED_NATS:
+        return count + 1.9
+    if doubtful:
+        return max(count + 0.9, 1.1 * count)
+    return (2.0 if odds_nats < CLEAR_NATS else 1.4) * count
 
 
 def _told(candidate: Candidate) -> dict[int, float]:
     """The detections of which a story is told, with their shares: of very many some, evenly over time."""
     claimed = [(number, share) for number, share in candidate.share.items() if share > 0.05]
-    return dict(claimed[:: max(1, len(claimed) // TOLD_DETECTIONS)])
+    return dict(claimed[:: -(-len(claimed) // TOLD_DETECTIONS) or 1])
 
 
 def _mean(candidate: Candidate) -> FloatArray:
