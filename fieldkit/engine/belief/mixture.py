@@ -141,7 +141,7 @@ class Mixture:
         row0, row1, column0, column1 = self.grid.box_around(heard_at, self.model.reach_m)
         east, north = self.grid.east_m[column0:column1], self.grid.north_m[row0:row1]
         points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
-        log = self.model.log_likelihood(detection, points)[: self.model.n_known]
+        log = self.model.known_log_likelihood(detection, points)
         scale = float(log.max())
         like = np.exp(log - scale)
         clutter = float(np.log(CLUTTER_HZ) - len(heard_at) * np.log(80.0))

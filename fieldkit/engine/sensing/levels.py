@@ -119,13 +119,26 @@ class LevelsModel:
 
     def log_likelihood(self, detection: Detection, points_m: FloatArray) -> FloatArray:
         """(h, n): log p(what the team heard | a source at points_m (n, 2) sent it), under each hypothesis."""
-        fixed = np.empty((self.level_dbm.size, points_m.shape[0]))
+        fixed = self._fixed_log_likelihood(detection, points_m, self.level_dbm)
+        known = fixed[: self.n_known]
+        best = known.max(axis=0)
+        varying = best + np.log(np.exp(known - best).mean(axis=0))
+        return np.concatenate([fixed, varying[None, :]])
+
+    def known_log_likelihood(self, detection: Detection, points_m: FloatArray) -> FloatArray:
+        """(known levels, n): the same under the known levels alone."""
+        return self._fixed_log_likelihood(detection, points_m, self.level_dbm[: self.n_known])
+
+    def _fixed_log_likelihood(
+        self, detection: Detection, points_m: FloatArray, level_dbm: FloatArray
+    ) -> FloatArray:
+        fixed = np.empty((level_dbm.size, points_m.shape[0]))
         kernels.levels_loglik(
             np.ascontiguousarray(points_m),
             detection.position_m,
             detection.rss_dbm,
             detection.saturated.astype(float),
-            self.level_dbm,
+            level_dbm,
             self.ten_beta,
             self.antenna.sigma_db,
             self.antenna.threshold_dbm,
@@ -139,10 +152,7 @@ class LevelsModel:
             _PER_SIGMA,
             fixed,
         )
-        known = fixed[: self.n_known]
-        best = known.max(axis=0)
-        varying = best + np.log(np.exp(known - best).mean(axis=0))
-        return np.concatenate([fixed, varying[None, :]])
+        return fixed
 
     def spread_db(self, range_m: FloatArray) -> FloatArray:
         """Standard deviation of a reading at `range_m`: the antenna's sigma, the place's smear, the rounding."""
