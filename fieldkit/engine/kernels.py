@@ -285,6 +285,85 @@ def track(
 
 
 @njit(cache=True, nogil=True)
+def all_abreast(
+    centre_paths: FloatArray,
+    legs: IntArray,
+    start: FloatArray,
+    spacing: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    places: FloatArray,
+) -> None:
+    """`abreast` for each of n centre paths (n, most legs, 2) of `legs` (n,) corners, `spacing` (n,).
+
+    places (n, most legs, m, 2); those beyond a path's legs are not touched.
+    """
+    for i in range(legs.shape[0]):
+        abreast(centre_paths[i, : legs[i]], start, spacing[i], low, high, places[i, : legs[i]])
+
+
+@njit(cache=True, nogil=True)
+def all_tracks(
+    places: FloatArray,
+    legs: IntArray,
+    start: FloatArray,
+    speed: float,
+    turn_rad_s: float,
+    step: float,
+    out: FloatArray,
+) -> None:
+    """out (n, steps, m, 2): `track` for each of places (n, most legs, m, 2), of `legs` (n,), each at least 1."""
+    for i in range(legs.shape[0]):
+        track(places[i, : legs[i]], start, speed, turn_rad_s, step, out[i])
+
+
+@njit(cache=True, nogil=True)
+def all_ground_gains(
+    tracks: FloatArray,
+    clear: FloatArray,
+    dt: float,
+    value: FloatArray,
+    planned: FloatArray,
+    cell: float,
+    hear: FloatArray,
+    step2: float,
+    reach: float,
+    rate: float,
+    scratch: FloatArray,
+    out: FloatArray,
+) -> None:
+    """out (n,): `path_ground_gain` of each of tracks (n, steps, m, 2) where `clear` (n,) is not 0; else -inf."""
+    for i in range(tracks.shape[0]):
+        if clear[i] == 0.0:
+            out[i] = -math.inf
+        else:
+            out[i] = path_ground_gain(tracks[i], dt, value, planned, cell, hear, step2, reach, rate, scratch)
+
+
+@njit(cache=True, nogil=True)
+def all_information(
+    tracks: FloatArray,
+    dt: float,
+    points: FloatArray,
+    point_level: FloatArray,
+    hear: FloatArray,
+    step2: float,
+    min_range: float,
+    out: FloatArray,
+) -> None:
+    """out (n, 4): `path_information` of each of tracks (n, steps, m, 2)."""
+    for i in range(tracks.shape[0]):
+        path_information(tracks[i], dt, points, point_level, hear, step2, min_range, out[i])
+
+
+@njit(cache=True, nogil=True)
+def all_clear(tracks: FloatArray, others: FloatArray, separation: float, out: FloatArray) -> None:
+    """out (n,): 1 where a track of (n, steps, m, 2) does not meet `others`, else 0."""
+    for i in range(tracks.shape[0]):
+        out[i] = 0.0 if meets(tracks[i], others, separation) else 1.0
+
+
+@njit(cache=True, nogil=True)
 def meets(one: FloatArray, others: FloatArray, separation: float) -> bool:
     """Whether a robot of track `one` (steps, m, 2) comes nearer to one of `others` (steps, k, 2) than `separation`.
 

@@ -8,14 +8,17 @@ battery brings it home from.
 """
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fieldkit.engine import kernels
 from fieldkit.engine.belief.base import Belief
 from fieldkit.engine.belief.intensity import IntensityBelief, Unresolved
-from fieldkit.engine.planning.base import Situation, abreast, legs_within_range, track, waypoints
+from fieldkit.engine.planning.base import Situation, legs_within_range, track, waypoints
 from fieldkit.engine.planning.ledger import STEP_S, Ledger
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
@@ -26,6 +29,7 @@ HORIZON_S = 45.0
 GROUND_PATHS = 60
 PATHS_PER_CANDIDATE = 16
 MAX_CANDIDATES = 6
+MOST_LEGS = 8
 SAMPLES = 16
 SPACINGS = (0.6, 1.3, 2.0)
 """How far abreast teams may search, in typical ranges; candidates are resolved at the first."""
@@ -33,14 +37,21 @@ GROUND_VALUE = 1.0
 GROUND_BLOCK = 0.4
 """Side of the squares in which ground is valued, at most, in the shortest typical range."""
 
+Place = tuple[float, float]
+"""East and north, in metres."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Option:
-    purpose: str
+class _Options:
+    """n paths of a team to choose from."""
+
+    purpose: list[str]
     places_m: FloatArray
-    """(legs, m, 2)"""
-    track_m: FloatArray
-    """(steps, m, 2)"""
+    """(n, most legs, m, 2)"""
+    legs: NDArray[np.int64]
+    """(n,) how many of those each path has, at least 1."""
+    tracks_m: FloatArray
+    """(n, steps, m, 2)"""
 
 
 class InfoGainPlanner:
@@ -52,7 +63,7 @@ class InfoGainPlanner:
         self.settings = settings
         self.grid = settings.grid
         self._rng = np.random.default_rng([settings.seed, 0x1F0])
-        self._last: dict[tuple[str, ...], list[tuple[float, float]]] = {}
+        self._last: dict[tuple[str, ...], list[Place]] = {}
         shortest_m = float(settings.antenna.nominal_range_m(min(settings.power_levels_db)))
         self._block = max(1, int(GROUND_BLOCK * shortest_m / settings.grid.cell_m))
         """Ground is valued in squares of so many cells: finer than that, ranges blur it anyway."""
@@ -70,23 +81,21 @@ class InfoGainPlanner:
         purpose: dict[str, str] = {}
         for team in situation.teams:
             start = np.array([situation.position_m[robot] for robot in team])
-            best, best_worth = None, -math.inf
-            for option in self._options(situation, team, start, ledger, horizon_s):
-                if ledger.is_clear(option.track_m):
-                    worth = ledger.worth(option.track_m)
-                    if worth > best_worth:
-                        best, best_worth = option, worth
-            if best is None:  # boxed in by the others, or no battery left for any path: stay
+            options = self._options(situation, team, start, ledger, horizon_s)
+            worth = ledger.worth(options.tracks_m)
+            best = int(np.argmax(worth)) if worth.size else -1
+            if (
+                best < 0 or worth[best] == -np.inf
+            ):  # boxed in by the others, or no battery left for any path: stay
                 for robot in team:
                     paths[robot], purpose[robot] = (), "wait"
                 ledger.take(standing(start, horizon_s))
                 continue
-            ledger.take(best.track_m)
-            self._last[team] = [tuple(place.mean(axis=0)) for place in best.places_m]
-            for robot, path in zip(
-                team, waypoints(best.places_m, start, self.settings.max_speed_m_s), strict=True
-            ):
-                paths[robot], purpose[robot] = path, best.purpose
+            places = options.places_m[best, : options.legs[best]]
+            ledger.take(options.tracks_m[best])
+            self._last[team] = [tuple(place.mean(axis=0)) for place in places]
+            for robot, path in zip(team, waypoints(places, start, self.settings.max_speed_m_s), strict=True):
+                paths[robot], purpose[robot] = path, options.purpose[best]
         return Plan(situation.t_ns, paths, purpose)
 
     def _ledger(self, belief: IntensityBelief) -> Ledger:
@@ -111,11 +120,6 @@ class InfoGainPlanner:
             places, start, self.settings.max_speed_m_s, STEP_S, horizon_s, self.settings.max_turn_deg_s
         )
 
-    def _blocked(self, corners_m: FloatArray) -> bool:
-        """Whether a robot's way along corners (legs, m, 2) crosses ground to be kept out of."""
-        before, after = corners_m[:-1].reshape(-1, 2), corners_m[1:].reshape(-1, 2)
-        return bool(self.settings.keep_out.blocks(before, after).any())
-
     # -- paths to choose from ----------------------------------------------------------------------------
 
     def _options(
@@ -125,87 +129,120 @@ class InfoGainPlanner:
         start: FloatArray,
         ledger: Ledger,
         horizon_s: float,
-    ) -> list[_Option]:
+    ) -> _Options:
+        """Paths within fence, battery and keep-out; they may still meet other teams' ways."""
         ranges = self.settings.antenna.nominal_range_m(np.array(self.settings.power_levels_db))
         typical_m = float(np.median(ranges))
-        centre = start.mean(axis=0)
-        length_m = self.settings.max_speed_m_s * horizon_s
         spacings = [max(self.settings.min_separation_m, factor * typical_m) for factor in SPACINGS]
-        options: list[_Option] = []
-        range_m = np.array([situation.range_m.get(robot, np.inf) for robot in team])
-        home_m = np.array([situation.home_m.get(robot, at) for robot, at in zip(team, start, strict=True)])
-
-        def add(purpose: str, corners: list[FloatArray] | FloatArray, spacing_m: float) -> None:
-            places = abreast(
-                np.asarray(corners, dtype=float), start, spacing_m, self.grid, self.settings.fence_margin_m
-            )
-            places = places[: legs_within_range(places, start, range_m, home_m)]
-            if len(places) == 0 or self._blocked(np.concatenate([start[None], places])):
-                return
-            route = track(
-                places, start, self.settings.max_speed_m_s, STEP_S, horizon_s, self.settings.max_turn_deg_s
-            )
-            options.append(_Option(purpose, places, route))
-
-        pick = self._picker(ledger.left())
-        for index in range(GROUND_PATHS):
-            corners: list[FloatArray] = []
-            here, gone = centre, 0.0
-            while gone < length_m and len(corners) < 8:
-                target = pick()
-                if index % 2:  # a nearby stretch rather than across the field
-                    bearing = self._rng.uniform(0.0, 2.0 * math.pi)
-                    target = here + self._rng.uniform(1.0, 4.0) * typical_m * np.array(
-                        [math.sin(bearing), math.cos(bearing)]
-                    )
-                corners.append(target)
-                gone += float(np.hypot(*(target - here)))
-                here = target
-            add("search", corners, spacings[index % len(spacings)])
+        centre = (float(start[:, 0].mean()), float(start[:, 1].mean()))
+        ways = self._over_ground(ledger, centre, typical_m, self.settings.max_speed_m_s * horizon_s)
+        spacing = [spacings[index % len(spacings)] for index in range(len(ways))]
+        purpose = ["search"] * len(ways)
         if self._last.get(team):
-            add("search", np.array(self._last[team]), spacings[0])
+            ways.append(self._last[team])
+            purpose.append("search")
         nearest = sorted(
             ledger.unresolved, key=lambda u: float(np.hypot(*(u.points_m.mean(axis=0) - centre)))
         )
         for candidate in nearest[:MAX_CANDIDATES]:
-            for index in range(PATHS_PER_CANDIDATE):
-                add(
-                    f"resolve {candidate.ident}",
-                    self._around(candidate, centre, typical_m, index),
-                    spacings[0],
-                )
-        return options
+            ways += self._around(candidate, centre, typical_m)
+            purpose += [f"resolve {candidate.ident}"] * PATHS_PER_CANDIDATE
+        spacing += [spacings[0]] * (len(ways) - len(spacing))
+        return self._driven(situation, team, start, horizon_s, ways, np.array(spacing), purpose)
 
-    def _picker(self, weight: FloatArray) -> Callable[[], FloatArray]:
-        """Draws the middle of a square of ground, by weight (n_north, n_east of the squares)."""
+    def _over_ground(
+        self, ledger: Ledger, centre: Place, typical_m: float, length_m: float
+    ) -> list[list[Place]]:
+        """Corners of ways over ground worth searching: across the field, and every other one nearby."""
+        pick = self._picker(ledger.left())
+        ways = []
+        for index in range(GROUND_PATHS):
+            way: list[Place] = []
+            here, gone = centre, 0.0
+            while gone < length_m and len(way) < MOST_LEGS:
+                drawn = self._rng.random()
+                if index % 2:
+                    bearing = self._rng.uniform(0.0, 2.0 * math.pi)
+                    far_m = self._rng.uniform(1.0, 4.0) * typical_m
+                    there = (here[0] + far_m * math.sin(bearing), here[1] + far_m * math.cos(bearing))
+                else:
+                    there = pick(drawn)
+                way.append(there)
+                gone += math.dist(here, there)
+                here = there
+            ways.append(way)
+        return ways
+
+    def _picker(self, weight: FloatArray) -> Callable[[float], Place]:
+        """The middle of a square of ground for a number between 0 and 1, by weight (n_north, n_east of the squares)."""
         weight = weight**1.5 if weight.sum() > 0 else np.ones(weight.shape)
-        cumulative = np.cumsum(weight.ravel() / weight.sum())
+        cumulative = np.cumsum(weight.ravel() / weight.sum()).tolist()
         side = self._block * self.grid.cell_m
         columns = weight.shape[1]
-        limit = np.array([self.grid.size_east_m, self.grid.size_north_m])
 
-        def pick() -> FloatArray:
-            index = min(int(np.searchsorted(cumulative, self._rng.random())), cumulative.size - 1)
-            row, column = divmod(index, columns)
-            return np.minimum(np.array([(column + 0.5) * side, (row + 0.5) * side]), limit)
+        def pick(drawn: float) -> Place:
+            row, column = divmod(min(bisect_left(cumulative, drawn), len(cumulative) - 1), columns)
+            return (
+                min((column + 0.5) * side, self.grid.size_east_m),
+                min((row + 0.5) * side, self.grid.size_north_m),
+            )
 
         return pick
 
-    def _around(
-        self, candidate: Unresolved, centre: FloatArray, typical_m: float, index: int
-    ) -> list[FloatArray]:
-        """Corners round one possible place of a candidate: the nearest first, then on round it."""
-        focus = candidate.points_m[int(self._rng.integers(candidate.points_m.shape[0]))]
-        if index % 3 == 0:
-            focus = candidate.points_m.mean(axis=0)
-        radius = typical_m * (0.15, 0.35, 0.6, 0.9)[index % 4]
-        away = centre - focus
-        bearing = math.atan2(away[0], away[1]) + self._rng.uniform(-0.5, 0.5)
-        turn = math.radians(120.0 if index % 2 else 75.0) * (1 if self._rng.random() < 0.5 else -1)
-        return [
-            focus + radius * np.array([math.sin(bearing + k * turn), math.cos(bearing + k * turn)])
-            for k in range(6)
-        ]
+    def _around(self, candidate: Unresolved, centre: Place, typical_m: float) -> list[list[Place]]:
+        """Corners round possible places of a candidate: the nearest first, then on round it."""
+        middle = candidate.points_m.mean(axis=0)
+        ways = []
+        for index in range(PATHS_PER_CANDIDATE):
+            focus = candidate.points_m[int(self._rng.integers(candidate.points_m.shape[0]))]
+            east, north = (middle if index % 3 == 0 else focus).tolist()
+            radius = typical_m * (0.15, 0.35, 0.6, 0.9)[index % 4]
+            bearing = math.atan2(centre[0] - east, centre[1] - north) + self._rng.uniform(-0.5, 0.5)
+            turn = math.radians(120.0 if index % 2 else 75.0) * (1 if self._rng.random() < 0.5 else -1)
+            angles = [bearing + k * turn for k in range(6)]
+            ways.append([(east + radius * math.sin(a), north + radius * math.cos(a)) for a in angles])
+        return ways
+
+    def _driven(
+        self,
+        situation: Situation,
+        team: tuple[str, ...],
+        start: FloatArray,
+        horizon_s: float,
+        ways: list[list[Place]],
+        spacing_m: FloatArray,
+        purpose: list[str],
+    ) -> _Options:
+        """The ways of a team's middle as its robots would drive them abreast, but for those that cannot be driven."""
+        s = self.settings
+        legs = np.array([len(way) for way in ways], dtype=np.int64)
+        centres = np.zeros((len(ways), MOST_LEGS, 2))
+        for index, way in enumerate(ways):
+            centres[index, : len(way)] = way
+        low = np.full(2, s.fence_margin_m)
+        high = np.maximum(low, np.array([self.grid.size_east_m, self.grid.size_north_m]) - s.fence_margin_m)
+        places = np.zeros((len(ways), MOST_LEGS, len(team), 2))
+        kernels.all_abreast(centres, legs, start, spacing_m, low, high, places)
+        range_m = np.array([situation.range_m.get(robot, np.inf) for robot in team])
+        home_m = np.array([situation.home_m.get(robot, at) for robot, at in zip(team, start, strict=True)])
+        if not np.isinf(range_m).all():
+            for index, count in enumerate(legs):
+                legs[index] = legs_within_range(places[index, :count], start, range_m, home_m)
+        can = legs > 0
+        if s.keep_out.polygons:
+            can &= [not self._blocked(start, places[i, :count]) for i, count in enumerate(legs)]
+        places, legs = places[can], legs[can]
+        tracks = np.empty((len(legs), n_steps(horizon_s), len(team), 2))
+        kernels.all_tracks(
+            places, legs, start, s.max_speed_m_s, math.radians(s.max_turn_deg_s), STEP_S, tracks
+        )
+        return _Options([p for p, kept in zip(purpose, can, strict=True) if kept], places, legs, tracks)
+
+    def _blocked(self, start: FloatArray, places: FloatArray) -> bool:
+        """Whether a robot's way from `start` (m, 2) over places (legs, m, 2) crosses ground to be kept out of."""
+        corners = np.concatenate([start[None], places])
+        before, after = corners[:-1].reshape(-1, 2), corners[1:].reshape(-1, 2)
+        return bool(self.settings.keep_out.blocks(before, after).any())
 
 
 def blocks_summed(value: FloatArray, block: int) -> FloatArray:
@@ -218,4 +255,9 @@ def blocks_summed(value: FloatArray, block: int) -> FloatArray:
 
 def standing(start_m: FloatArray, horizon_s: float) -> FloatArray:
     """(steps, m, 2): the track of robots that stay at `start_m` (m, 2)."""
-    return np.repeat(start_m[None], max(1, int(horizon_s / STEP_S)), axis=0)
+    return np.repeat(start_m[None], n_steps(horizon_s), axis=0)
+
+
+def n_steps(horizon_s: float) -> int:
+    """Points of a track."""
+    return max(1, int(horizon_s / STEP_S))

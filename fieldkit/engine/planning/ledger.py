@@ -69,50 +69,56 @@ class Ledger:
     def take(self, track_m: FloatArray) -> None:
         """What this track gains is no gain for others."""
         self._scratch[:] = 0.0
-        self._newly_heard(track_m)
+        self._newly_heard(track_m[None], np.ones(1))
         self._planned_s += self._scratch
         for index, candidate in enumerate(self.unresolved):
-            self._learnt[index] = self._learnt[index] + self._told_of(candidate, track_m)
+            self._learnt[index] = self._learnt[index] + self._told_of(candidate, track_m[None])[0]
         before = self._taken_m
         self._taken_m = track_m if before is None else np.concatenate([before, track_m], axis=1)
 
-    def is_clear(self, track_m: FloatArray) -> bool:
-        """Whether a track keeps the separation from all that were taken."""
-        if self._taken_m is None:
-            return True
-        return not kernels.meets(track_m, self._taken_m, self._settings.min_separation_m)
+    def worth(self, tracks_m: FloatArray) -> FloatArray:
+        """(n,) of tracks (n, steps, m, 2): sources newly heard, and progress with those not resolved.
 
-    def worth(self, track_m: FloatArray) -> float:
-        """Of a track (steps, m, 2): sources newly heard, and progress with those not resolved."""
-        total = self._newly_heard(track_m)
+        -inf where a track comes nearer than the separation to one that was taken.
+        """
+        total = self._newly_heard(tracks_m, self._clear(tracks_m))
         for candidate, before in zip(self.unresolved, self._learnt, strict=True):
-            told = self._told_of(candidate, track_m)
-            if told[0] > 1e-3:
-                total += self._progress(candidate, before + told) - self._progress(candidate, before)
+            told = self._told_of(candidate, tracks_m)
+            gained = self._progress(candidate, before + told) - self._progress(candidate, before[None])
+            total += np.where(told[:, 0] > 1e-3, gained, 0.0)
         return total
 
-    def _newly_heard(self, track_m: FloatArray) -> float:
-        """Expected number of sources; the track's own exposure is left in the scratch."""
-        return float(
-            kernels.path_ground_gain(
-                track_m,
-                STEP_S,
-                self._ground,
-                self._planned_s,
-                self._square_m,
-                self._model.hear_known_mean,
-                self._model.step2_m2,
-                self._model.search_reach_m,
-                self._rate_hz,
-                self._scratch,
-            )
-        )
+    def _clear(self, tracks_m: FloatArray) -> FloatArray:
+        """(n,) 1 where a track keeps the separation from all that were taken, else 0."""
+        clear = np.ones(len(tracks_m))
+        if self._taken_m is not None:
+            kernels.all_clear(tracks_m, self._taken_m, self._settings.min_separation_m, clear)
+        return clear
 
-    def _told_of(self, candidate: Unresolved, track_m: FloatArray) -> FloatArray:
-        """(4,) exposure and information per unit rate that a track gives of a candidate."""
-        told = np.empty(4)
-        kernels.path_information(
-            track_m,
+    def _newly_heard(self, tracks_m: FloatArray, clear: FloatArray) -> FloatArray:
+        """(n,) expected number of sources; the last track's own exposure is left in the scratch."""
+        gain = np.empty(len(tracks_m))
+        kernels.all_ground_gains(
+            tracks_m,
+            clear,
+            STEP_S,
+            self._ground,
+            self._planned_s,
+            self._square_m,
+            self._model.hear_known_mean,
+            self._model.step2_m2,
+            self._model.search_reach_m,
+            self._rate_hz,
+            self._scratch,
+            gain,
+        )
+        return gain
+
+    def _told_of(self, candidate: Unresolved, tracks_m: FloatArray) -> FloatArray:
+        """(n, 4) exposure and information per unit rate that tracks (n, steps, m, 2) give of a candidate."""
+        told = np.empty((len(tracks_m), 4))
+        kernels.all_information(
+            tracks_m,
             STEP_S,
             candidate.points_m,
             candidate.level,
@@ -123,25 +129,29 @@ class Ledger:
         )
         return told
 
-    def _progress(self, candidate: Unresolved, told: FloatArray) -> float:
-        """Worth of what is known of a candidate after it has told this: (4,) exposure and information."""
+    def _progress(self, candidate: Unresolved, told: FloatArray) -> FloatArray:
+        """(n,) worth of what is known of a candidate after it has told this: (n, 4) exposure and information."""
         rate = candidate.rate_hz
         antenna, cell_m = self._settings.antenna, self._settings.grid.cell_m
         scale = (10.0 * antenna.path_loss_exponent / (antenna.sigma_db * math.log(10.0))) ** 2 * rate
         floor = (0.1 * cell_m) ** 2
         ee, en, nn = candidate.cov_m2[0, 0] + floor, candidate.cov_m2[0, 1], candidate.cov_m2[1, 1] + floor
         det = ee * nn - en * en
-        ee, en, nn = nn / det + scale * told[1], scale * told[2] - en / det, ee / det + scale * told[3]
+        ee, en, nn = (
+            nn / det + scale * told[:, 1],
+            scale * told[:, 2] - en / det,
+            ee / det + scale * told[:, 3],
+        )
         # Receptions still needed grow with the precision still missing: so counted, a candidate that is nearly
         # resolved is worth finishing before driving to the next. Eigenvalues of the precision, closed form.
         only_place = candidate.state == "found" and not candidate.may_be_two
         target = ((SETTLED_CELLS if only_place else TARGET_CELLS) * cell_m) ** 2
-        middle, half = (ee + nn) / 2.0, math.hypot((ee - nn) / 2.0, en)
-        done = (min((middle - half) * target, 1.0) + min((middle + half) * target, 1.0)) / 2.0
+        middle, half = (ee + nn) / 2.0, np.hypot((ee - nn) / 2.0, en)
+        done = (np.minimum((middle - half) * target, 1.0) + np.minimum((middle + half) * target, 1.0)) / 2.0
         missing = max(1.0, self._settings.min_receptions - candidate.receptions)
-        received = 1.0 - math.exp(-rate * told[0] / missing)
+        received = 1.0 - np.exp(-rate * told[:, 0] / missing)
         if only_place:
             worth = SETTLE_VALUE * (1.0 - candidate.p_here)
         else:
             worth = DOUBTFUL_VALUE if candidate.state == "doubtful" else 1.0
-        return worth * (RESOLVE_VALUE * done + RECEPTION_VALUE * received)
+        return np.asarray(worth * (RESOLVE_VALUE * done + RECEPTION_VALUE * received))
