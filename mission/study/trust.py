@@ -7,6 +7,8 @@ ranges of 1.67 to 3.45 m. Same seeds for every scenario.
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import combinations
+from math import dist, inf
 from typing import Any
 
 import numpy as np
@@ -76,6 +78,16 @@ class Job:
     scenario: Scenario
     seed: int
 
+    def sources(self) -> tuple[TransientSource, ...]:
+        """What is hidden, before the scenario changes its power."""
+        rng = np.random.default_rng([self.seed, 99])
+        return tuple(random_sources(self.scenario.sources, FIELD_M, FIELD_M, LEVELS_DB, RATE_HZ, rng))
+
+    def nearest_pair_m(self) -> float:
+        """How far apart the two sources nearest to each other are; infinity for one source."""
+        place = [(source.east_m, source.north_m) for source in self.sources()]
+        return min((dist(a, b) for a, b in combinations(place, 2)), default=inf)
+
 
 def antenna(exponent: float = EXPONENT) -> Antenna:
     """The study's radio: a nominal range of 3.45 m at the strongest level under the true exponent."""
@@ -97,9 +109,7 @@ def settings(seed: int, *, exponent: float = EXPONENT) -> EngineSettings:
 
 def trial(job: Job) -> dict[str, Any]:
     """One mission of a scenario: times, finds, and whether what was claimed was true."""
-    scenario = job.scenario
-    rng = np.random.default_rng([job.seed, 99])
-    sources = tuple(random_sources(scenario.sources, FIELD_M, FIELD_M, LEVELS_DB, RATE_HZ, rng))
+    scenario, sources = job.scenario, job.sources()
     louder = tuple(replace(s, power_db=s.power_db + scenario.power_off_db) for s in sources)
     truth = Truth(
         antenna(),
@@ -165,6 +175,25 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+def by_nearest_pair(group: list[tuple[Job, dict[str, Any]]]) -> dict[str, dict[str, float]]:
+    """Missions that found all, their mean time and its standard error, by how near two of their sources are."""
+    result = {}
+    for name, low_m, high_m in (("under 2 m", 0.0, 2.0), ("2 m and more", 2.0, inf)):
+        times = [
+            row["time_s"]
+            for job, row in group
+            if row["time_s"] is not None and low_m <= job.nearest_pair_m() < high_m
+        ]
+        if times:
+            error_s = float(np.std(times)) / len(times) ** 0.5
+            result[name] = {
+                "missions": len(times),
+                "mean_time_s": float(np.mean(times)),
+                "standard_error_s": error_s,
+            }
+    return result
+
+
 def run(
     trials: int,
     seed: int,
@@ -179,15 +208,16 @@ def run(
     jobs = [Job(scenario, seed + k) for scenario in wanted for k in range(trials)]
     jobs += [Job(PAPER, seed + k) for k in range(paper_trials)]
     rows = run_trials(trial, jobs, progress, **how)
-    grouped: dict[str, list[dict[str, Any]]] = {}
+    grouped: dict[str, list[tuple[Job, dict[str, Any]]]] = {}
     for job, row in zip(jobs, rows, strict=True):
-        grouped.setdefault(job.scenario.name, []).append(row)
+        grouped.setdefault(job.scenario.name, []).append((job, row))
     counts = Counter(job.scenario.name for job in jobs)
     assert all(len(grouped[name]) == count for name, count in counts.items())
     return {
         "study": "trust",
         "trials": trials,
         "seed": seed,
-        "scenarios": {name: summarise(group) for name, group in grouped.items()},
-        "times_s": {name: [row["time_s"] for row in group] for name, group in grouped.items()},
+        "scenarios": {name: summarise([row for _, row in group]) for name, group in grouped.items()},
+        "by_nearest_pair": {name: by_nearest_pair(group) for name, group in grouped.items()},
+        "times_s": {name: [row["time_s"] for _, row in group] for name, group in grouped.items()},
     }
