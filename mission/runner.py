@@ -355,7 +355,7 @@ class Runner:
             self.put(ReceiverState(self._resumed_ns, receiver.robot, False, "the mission was interrupted"))
             self.put(ReceiverState(now_ns, receiver.robot, True, "the mission goes on"))
         for name in self.helm.link_of:  # what it was doing then says nothing of now
-            self.put(VehicleState(now_ns, name, "unknown", False, False, None, "not heard since then"))
+            self.put(VehicleState(self._resumed_ns, name, "unknown", False, False, None, "not heard since"))
         for name, robot in self.safety.robots.items():
             if robot.called and not robot.ordered:
                 self.put(Operator(now_ns, "withdraw", name, "called for before the interruption"))
@@ -413,6 +413,28 @@ class Runner:
 
     async def _take_over(self) -> None:
         """Make every vehicle ours once it is heard and its position known."""
+        absent = await self._wait_for_all()
+        await self._inspect(absent)
+        self._steered = True
+        if not self._resumed_ns:
+            await self.helm.take_over()
+            return
+        # What was armed is adopted; what is not, or stands under an order, waits for the operator.
+        waits = dict.fromkeys(absent, "nothing is heard of it") | {
+            name: "it is disarmed"
+            for name, robot in self.kernel.robots.items()
+            if name not in absent and robot.vehicle is not None and not robot.vehicle.armed
+        }
+        ordered = {name for name, robot in self.safety.robots.items() if robot.ordered}
+        await self.helm.take_over([name for name in self.safety.robots if name not in ordered | waits.keys()])
+        for name, why in waits.items():
+            self.put(Operator(self.rig.clock.now_ns(), "withdraw", name, why))
+
+    async def _wait_for_all(self) -> set[str]:
+        """Robots still not heard when the time to wait is over: none before a start; a resumed mission goes on without.
+
+        Raises `DeviceTimeout` where it cannot.
+        """
         deadline_s = self.rig.clock.elapsed_s() + READY_TIMEOUT_S
         while missing := [
             name
@@ -422,39 +444,29 @@ class Runner:
             or min(robot.pose.t_ns, robot.vehicle.t_ns) <= self._resumed_ns
         ]:
             if self.rig.clock.elapsed_s() > deadline_s:
-                raise DeviceTimeout(
+                text = (
                     f"no telemetry from {', '.join(missing)} in {READY_TIMEOUT_S:.0f} s: is the vehicle on, does it "
                     "send to the address in the mission file, are its system id and signing key right, has it a "
                     "position fix?"
                 )
+                if not self._resumed_ns or len(missing) == len(self.kernel.robots):
+                    raise DeviceTimeout(text)
+                self._note("warning", f"{text} The mission goes on without")
+                break
             await self.rig.clock.sleep(0.2)
             self.recorder.maybe_flush(self.rig.clock.now_ns())  # silence is no step of the clock
-        await self._inspect()
-        self._steered = True
-        if not self._resumed_ns:
-            await self.helm.take_over()
-            return
-        # What was armed is adopted; what is not, or stands under an order, waits for the operator.
-        orders = {name: robot.ordered for name, robot in self.safety.robots.items()}
-        disarmed = {
-            name
-            for name, robot in self.kernel.robots.items()
-            if robot.vehicle is not None and not robot.vehicle.armed
-        }
-        await self.helm.take_over([name for name in orders if not orders[name] and name not in disarmed])
-        for name in disarmed:
-            self.put(Operator(self.rig.clock.now_ns(), "withdraw", name, "it is disarmed"))
+        return set(missing)
 
-    async def _inspect(self) -> None:
+    async def _inspect(self, absent: set[str]) -> None:
         """Vehicles that would not stop by themselves, or are unfit otherwise, keep the mission from starting."""
         asked = [
-            link.inspect(robot, self.mission.vehicle_fence_m) for robot, link in self.helm.link_of.items()
+            link.inspect(robot, self.mission.vehicle_fence_m)
+            for robot, link in self.helm.link_of.items()
+            if robot not in absent
         ]
         checks = [check for found in await asyncio.gather(*asked) for check in found]
-        checks += judge_places(
-            self.mission,
-            {name: robot.pose for name, robot in self.kernel.robots.items() if robot.pose is not None},
-        )
+        poses = {name: robot.pose for name, robot in self.kernel.robots.items() if robot.pose is not None}
+        checks += [check for check in judge_places(self.mission, poses) if check.robot not in absent]
         for check in checks:
             if check.level != "green":
                 self._note("warning", f"{check.robot}: {check.name} {check.level}: {check.found}")

@@ -11,7 +11,7 @@ from typing import Generic, Self, TypeVar
 
 from fieldkit.checks import Check
 from fieldkit.clock import Clock
-from fieldkit.errors import DeviceError, VehicleRefused
+from fieldkit.errors import DeviceError, DeviceTimeout, VehicleRefused
 from fieldkit.messages import Pose, ReceiverState, RssReading, VehicleMode, VehicleState, Waypoint
 from fieldkit.world.rover import Rover
 
@@ -85,6 +85,8 @@ class FakeFleet:
         self.rovers = dict(rovers)
         self.beats = 0
         """Heartbeats from the steering loop."""
+        self.silent: set[str] = set()
+        """Robots whose link is lost: nothing is heard of them, and they do not answer."""
         self._clock = clock
         self._home = {name: (rover.east_m, rover.north_m) for name, rover in rovers.items()}
         self._mode: dict[str, VehicleMode] = dict.fromkeys(self.robots, "other")
@@ -155,13 +157,16 @@ class FakeFleet:
     def _check(self, robot: str) -> None:
         if robot not in self.rovers:
             raise DeviceError(f"no vehicle {robot!r} on this link; there are: {', '.join(self.robots)}")
+        if robot in self.silent:
+            raise DeviceTimeout(f"{robot}: does not answer; is its link up?")
 
     def _set(self, robot: str, mode: VehicleMode) -> None:
         self._mode[robot] = mode
         self._state(robot)
 
     def _state(self, robot: str) -> None:
-        self._stream.put(VehicleState(self._clock.now_ns(), robot, self._mode[robot], self._armed[robot]))
+        if robot not in self.silent:
+            self._stream.put(VehicleState(self._clock.now_ns(), robot, self._mode[robot], self._armed[robot]))
 
     async def _drive(self) -> None:
         last_s = pose_s = state_s = self._clock.elapsed_s()
@@ -177,7 +182,8 @@ class FakeFleet:
                     pose = Pose(
                         self._clock.now_ns(), name, rover.east_m, rover.north_m, 0.0, rover.heading_deg
                     )
-                    self._stream.put(pose)
+                    if name not in self.silent:
+                        self._stream.put(pose)
             if now_s >= state_s:
                 state_s = now_s + STATE_S
                 for name in self.robots:

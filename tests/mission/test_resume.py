@@ -120,6 +120,19 @@ def test_what_is_disarmed_or_held_stays_so_until_the_operator_says_otherwise(tmp
     assert sent == {"r3", "r4"}
 
 
+def test_a_robot_that_is_silent_at_the_resume_keeps_none_of_the_others_from_going_on(tmp_path: Path) -> None:
+    scene = Scene(tmp_path)
+    left = scene.killed()
+    count = len(list(open_recording(left).commands()))
+    scene.fleet.silent.add("r4")
+    runner, _ = scene.resumed(left)
+    after = list(open_recording(tmp_path / "second.mcap").commands())[count:]
+    sent = {c.robot for *_, origin, c in after if isinstance(c, GoTo) and origin == "safety"}
+    assert {"r1", "r2"} <= sent and "r4" not in sent  # r3 stands beside r4, which may be anywhere by now
+    assert runner.safety.robots["r4"].ordered == "withdraw"
+    assert replay(tmp_path / "second.mcap").complete
+
+
 def test_a_mission_that_is_over_is_not_resumed(tmp_path: Path) -> None:
     scene = Scene(tmp_path)
     with scene.recorder("first.mcap") as recorder:
