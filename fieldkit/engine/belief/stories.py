@@ -88,7 +88,9 @@ def _next_look(count: float, odds_nats: float, doubtful: bool) -> float:
         return count + 1.9
     if doubtful:
         return max(count + 0.9, 1.1 * count)
-    return (2.0 if odds_nats < CLEAR_NATS else 1.4) * count
+    if odds_nats >= CLEAR_NATS:
+        return 1.4 * count
+    return (4.0 if count > TOLD_DETECTIONS else 2.0) * count
 
 
 def _told(candidate: Candidate) -> dict[int, float]:
