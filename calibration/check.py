@@ -9,7 +9,7 @@ from calibration import likelihood
 from calibration.dataset import Readings
 from calibration.observations import Missed, make_rows
 from calibration.spread import clustered, standard_errors
-from fieldkit.antenna.file import AntennaFile, gain_db
+from fieldkit.channel.antenna_file import AntennaFile, gain_db
 from fieldkit.errors import DataError
 
 DRIFT_DB = 1.5

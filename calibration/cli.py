@@ -93,7 +93,7 @@ def fit(
     from calibration.fit import fit as fit_readings
     from calibration.logs import Reading, read_log
     from calibration.verdict import judge
-    from fieldkit.antenna.file import dump_antenna
+    from fieldkit.channel.antenna_file import dump_antenna
     from fieldkit.files import write_whole
 
     how = Reading(_pairs(column), _pairs(where), place_cell_m, negate, source)
@@ -151,7 +151,7 @@ def check(
 
     from calibration import check as checking
     from calibration.logs import Reading, read_log
-    from fieldkit.antenna.file import read_antenna
+    from fieldkit.channel.antenna_file import read_antenna
 
     file = read_antenna(antenna, allow_refused=True, allow_pattern=True)
     data, notes = read_log(log, Reading(_pairs(column), _pairs(where), place_cell_m, negate, source))

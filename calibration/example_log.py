@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.files import write_whole
 from fieldkit.world.channel import sample_rss_dbm
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from fieldkit.antenna.pattern import dipole_gain_db, lobe_gain_db
+from fieldkit.channel.pattern import dipole_gain_db, lobe_gain_db
 from fieldkit.messages import FloatArray
 
 Family = Literal["circle", "ellipse", "lobe", "dipole", "fourier", "spline"]

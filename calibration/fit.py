@@ -13,7 +13,7 @@ from calibration.likelihood import Rows
 from calibration.observations import Missed, first_guess, fitted_mean, make_rows
 from calibration.spread import clustered, split_sigma, standard_errors
 from calibration.threshold import Threshold, estimate_threshold
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.errors import CalibrationRefused
 from fieldkit.messages import FloatArray
 

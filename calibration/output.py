@@ -7,7 +7,7 @@ import numpy as np
 from calibration.fit import FitResult
 from calibration.patterns import Pattern
 from calibration.verdict import Judgement
-from fieldkit.antenna.file import SHAPES, AntennaFile
+from fieldkit.channel.antenna_file import SHAPES, AntennaFile
 
 _NAMES = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
 

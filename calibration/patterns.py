@@ -18,7 +18,7 @@ from calibration.fit import FitResult, Options, fit, intervals, offsets_of
 from calibration.likelihood import Rows
 from calibration.observations import make_rows
 from calibration.spread import clustered
-from fieldkit.antenna.file import SHAPES
+from fieldkit.channel.antenna_file import SHAPES
 from fieldkit.errors import DataError
 from fieldkit.messages import FloatArray
 
@@ -40,7 +40,7 @@ class Pattern:
     """Heading to the standard error of its gain in dB, clustered by place, the family taken as right."""
     bic: dict[str, float]
     shape: dict[str, float] = field(default_factory=dict)
-    """For lobe and dipole: what `fieldkit.antenna.pattern` needs."""
+    """For lobe and dipole: what `fieldkit.channel.pattern` needs."""
 
     def table(self) -> tuple[FloatArray, FloatArray]:
         """Headings (deg, clockwise from the antenna's front) and gains (dB)."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.dataset import Readings, from_arrays
 from calibration.fit import FitResult, fit
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.messages import FloatArray
 
 #: The papers' calibration: exponent 2.53 and 3.3 dB; power and threshold give 11 % missed and 21 % saturated.

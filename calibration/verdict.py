@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from calibration import diagnose
 from calibration.fit import FitResult
-from fieldkit.antenna.file import Verdict as State
+from fieldkit.channel.antenna_file import Verdict as State
 
 MIN_PLACES, FEW_PLACES = 5, 10
 MIN_SPAN_DECADES = 0.5

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fieldkit import plugins
-from fieldkit.antenna.model import MIN_RANGE_M
+from fieldkit.channel.model import MIN_RANGE_M
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Pose, VehicleState
 from fieldkit.ports import PositionSource, Surroundings, VehicleLink

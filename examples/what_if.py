@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from fieldkit.recording import open_recording
-from mission.replay import recorded_mission, replay, what_if
+from mission.replay.replay import recorded_mission, replay, what_if
 
 
 def main(path: str) -> None:

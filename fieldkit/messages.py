@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 #: How an RSSI value was obtained. They are not equally good: `db` is the module's last packet from anybody.
 RssVia = Literal["rx64", "rx16", "io", "db", "ed", "sniffer", "tap", "sim"]

@@ -13,7 +13,7 @@ from drivers.emulators.field import EmulatedRobot, FieldSpec, start
 from drivers.emulators.sniffers import NrfDongle, TiDongle
 from drivers.emulators.wires import PluggedModule, TcpWire, make_wire
 from drivers.emulators.xbee import Module, Profile
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.clock import RealClock, ScaledClock, wall_sleep
 from fieldkit.errors import ConfigError
 from fieldkit.geo import FieldFrame

@@ -25,7 +25,7 @@ from drivers.emulators.rover import RoverAutopilot
 from drivers.emulators.wires import PluggedModule, make_wire
 from drivers.emulators.xbee import PROFILES, Module
 from drivers.links import host_and_port
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError
 from fieldkit.geo import FieldFrame

@@ -37,7 +37,7 @@ def survey(
     from drivers.positions.survey import Settings, as_geojson, evaluate
     from drivers.positions.survey import as_json as plain
     from drivers.positions.tracks import ONLY, read_track
-    from fieldkit.antenna.file import read_antenna
+    from fieldkit.channel.antenna_file import read_antenna
     from fieldkit.files import write_whole
 
     radio = read_antenna(antenna, allow_refused=allow_refused).antenna

@@ -9,9 +9,9 @@ import numpy as np
 from drivers.positions.readings import Heard
 from drivers.positions.source import poses_of
 from drivers.positions.tracks import Track
-from fieldkit.antenna.model import Antenna
-from fieldkit.engine.belief.intensity import IntensityBelief
-from fieldkit.engine.detections import Associator
+from fieldkit.channel.model import Antenna
+from fieldkit.engine.association.detections import Associator
+from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import DataError

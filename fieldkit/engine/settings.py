@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.engine.grid import Grid
-from fieldkit.engine.keepout import NOWHERE, KeepOut
 from fieldkit.errors import ConfigError
+from fieldkit.geometry.polygons import NOWHERE, KeepOut
 
 SENSING = ("levels", "pairwise", "directional")
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.messages import FloatArray
 
 

@@ -73,7 +73,7 @@ def take_in(job: Job) -> dict[str, Any]:
 def _take_in(job: Job) -> dict[str, Any]:
     import fieldkit
     from mission.analysis.figures import figures
-    from mission.replaying import Changes, replay_one
+    from mission.replay.command import Changes, replay_one
 
     log_path, results = Path(job.log), Path(job.results)
     row = figures(log_path)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from fieldkit.antenna.model import Antenna
-from fieldkit.engine.sensing.levels import PACKET_LOSS
+from fieldkit.channel.model import Antenna
+from fieldkit.engine.likelihood.levels import PACKET_LOSS
 from fieldkit.messages import FloatArray
 
 CELLS = 50

@@ -1,6 +1,6 @@
 """What went wrong in a mission, in order of time: receivers, links, holds, warnings, and what the recording lacks."""
 
-from mission.analysis.story import Story
+from mission.analysis.history import Story
 
 Fault = tuple[float, str, str]
 """Time s, who, what."""

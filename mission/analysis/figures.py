@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fieldkit.messages import SourceEstimate
-from mission.analysis.story import Story, read_story
+from mission.analysis.history import Story, read_story
 
 FALSE_CELLS = 2.0
 """A find further than this many cells from every true source is false, as in `fieldkit study`."""

@@ -4,7 +4,8 @@ The engine believes on a grid and in steps of power. Afterwards all detections a
 between cells is worth making. Detections are shared out over the sources by what each would have led to (EM); each
 source is then where its share is most likely (RWA section VI.C, whose readings are weighted likewise). The likelihood
 is the engine's: what was heard, what was heard at the receiver's ceiling, and who listened and heard nothing
-(`fieldkit.engine.sensing.levels`), with the gain towards the source where the antenna has a pattern. The covariance is
+(`fieldkit.engine.likelihood.levels`), with the gain towards the source where the antenna has a pattern. The
+covariance is
 the inverse of the observed information, that is of the log-likelihood's curvature at its top.
 """
 
@@ -15,8 +16,8 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import log_ndtr, logsumexp, ndtr
 
-from fieldkit.antenna.model import MIN_RANGE_M, Antenna
-from fieldkit.engine.sensing.levels import OUTLIER_WIDTH, OUTLIERS, PACKET_LOSS
+from fieldkit.channel.model import MIN_RANGE_M, Antenna
+from fieldkit.engine.likelihood.levels import OUTLIER_WIDTH, OUTLIERS, PACKET_LOSS
 from fieldkit.messages import Detection, FloatArray, SourceEstimate
 
 ROUNDS = 8

@@ -12,8 +12,8 @@ from fieldkit.messages import SourceEstimate
 from mission.analysis import words
 from mission.analysis.coverage import Coverage, coverage
 from mission.analysis.faults import faults
+from mission.analysis.history import Story, read_story
 from mission.analysis.refine import Fit, Refined, model_fit, refine
-from mission.analysis.story import Story, read_story
 from mission.analysis.use import stretches, use
 
 FEW_RECEPTIONS = 3.0

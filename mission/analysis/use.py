@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mission.analysis.story import Story
+from mission.analysis.history import Story
 
 Stretch = tuple[str, float, float, str]
 """Robot, from s, to s, on what."""

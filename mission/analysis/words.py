@@ -3,8 +3,8 @@
 import numpy as np
 
 from mission.analysis.coverage import SEARCHED, Coverage
+from mission.analysis.history import Story
 from mission.analysis.refine import Fit
-from mission.analysis.story import Story
 
 ODD_BIAS_DB, ODD_RATIO = 2.0, 1.3
 """Readings that are off by more on average, or scatter so many times as wide, do not look like the antenna file."""

@@ -13,7 +13,7 @@ from fieldkit.messages import Tick
 from fieldkit.recording.reader import Recording
 from mission.page.server import Mailbox
 from mission.page.view import KEPT, SERIES_POINTS, TRACK_POINTS, View
-from mission.replay import recorded_mission
+from mission.replay.replay import recorded_mission
 
 MOST_FRAMES = 4000
 """Frames kept; a recording longer than this many seconds gets one every few seconds."""

@@ -7,12 +7,12 @@ from typing import Any
 
 from fieldkit.messages import Operator
 from fieldkit.recording.reader import Recording
-from mission.config import Mission
+from mission.core.mission_file import Mission
 from mission.page.live import LiveShow
 from mission.page.past import PastShow
 from mission.page.server import Page
 from mission.page.view import View
-from mission.runner import Runner
+from mission.shell.runner import Runner
 
 
 class LivePage:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from fieldkit.geometry.segments import margin_m
 from fieldkit.messages import (
     CallOperator,
     Command,
@@ -32,10 +33,9 @@ from fieldkit.messages import (
     Tick,
     VehicleState,
 )
-from mission.config import Mission
+from mission.core.mission_file import Mission
 from mission.page.exposure import Exposure
-from mission.watch import Watched, reserve_of
-from mission.ways import margin_m
+from mission.safety.monitor import Watched, reserve_of
 
 GRID_SIDE = 128
 """Most cells along a side of a grid that is sent; larger ones are reduced, a block to its largest value."""

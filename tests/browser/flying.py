@@ -17,11 +17,11 @@ from fieldkit.messages import Event, Operator
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
 from fieldkit.world.rover import Rover
+from mission.lab.synthetic import small_mission
 from mission.page import serve
 from mission.page.server import Page
-from mission.rigs import Rig, start_places
-from mission.runner import Runner
-from mission.synthetic import small_mission
+from mission.shell.runner import Runner
+from mission.shell.setups import Rig, start_places
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 

@@ -11,11 +11,11 @@ from flying import looking, wait_until
 
 from fieldkit.messages import Detection, Pose, SourceEstimate, Tick, VehicleState
 from fieldkit.recording.reader import open_recording
+from mission.lab.synthetic import record_simulated, small_mission
 from mission.page import serve
 from mission.page.live import LiveShow
 from mission.page.server import Page
 from mission.page.view import View
-from mission.synthetic import record_simulated, small_mission
 
 S = 1_000_000_000
 HOURS_S = 7200

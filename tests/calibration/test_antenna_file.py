@@ -6,9 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fieldkit.antenna.file import AntennaFile, dump_antenna, gain_db, parse_antenna, predictive_sigma_db
-from fieldkit.antenna.model import Antenna
-from fieldkit.antenna.pattern import dipole_gain_db, lobe_gain_db
+from fieldkit.channel.antenna_file import (
+    AntennaFile,
+    dump_antenna,
+    gain_db,
+    parse_antenna,
+    predictive_sigma_db,
+)
+from fieldkit.channel.model import Antenna
+from fieldkit.channel.pattern import dipole_gain_db, lobe_gain_db
 from fieldkit.errors import ConfigError
 
 ANTENNA = Antenna(2.5, -60.0, 3.0, -80.0)

@@ -11,7 +11,7 @@ from calibration.dataset import from_arrays
 from calibration.fit import Options, fit
 from calibration.report import report_html
 from calibration.verdict import judge
-from fieldkit.antenna.file import dump_antenna
+from fieldkit.channel.antenna_file import dump_antenna
 from fieldkit.errors import FieldkitError
 
 

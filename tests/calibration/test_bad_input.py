@@ -12,7 +12,7 @@ from calibration.dataset import read_readings
 from calibration.embedded import readings_csv
 from calibration.fit import fit
 from calibration.verdict import judge
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.errors import FieldkitError
 
 HEADER = "place,distance_m,sample,rss_dbm\n"

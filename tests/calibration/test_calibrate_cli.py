@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from calibration.cli import app
-from fieldkit.antenna.file import read_antenna
+from fieldkit.channel.antenna_file import read_antenna
 from fieldkit.errors import ConfigError, FieldkitError
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "readings.csv"

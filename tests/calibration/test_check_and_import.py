@@ -13,9 +13,9 @@ from calibration.check import check
 from calibration.cli import app
 from calibration.dataset import read_readings
 from calibration.fit import fit
-from fieldkit.antenna.file import AntennaFile, dump_antenna
-from fieldkit.antenna.model import Antenna
-from fieldkit.antenna.pattern import lobe_gain_db
+from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
+from fieldkit.channel.model import Antenna
+from fieldkit.channel.pattern import lobe_gain_db
 from fieldkit.errors import DataError, FieldkitError
 from fieldkit.messages import Detection, Pose
 from fieldkit.recording import RecordingWriter

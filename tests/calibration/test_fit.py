@@ -9,7 +9,7 @@ from calibration import bench, study
 from calibration.dataset import from_arrays, read_readings
 from calibration.fit import Options, fit
 from calibration.verdict import judge
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 
 ROOT = Path(__file__).parents[2]
 DATASETS = ROOT.parent / "shared" / "datasets"

@@ -13,9 +13,9 @@ from calibration.cli import app
 from calibration.dataset import from_arrays
 from calibration.fit import fit
 from calibration.verdict import judge
-from fieldkit.antenna.file import read_antenna
-from fieldkit.antenna.model import Antenna
-from fieldkit.antenna.pattern import dipole_gain_db
+from fieldkit.channel.antenna_file import read_antenna
+from fieldkit.channel.model import Antenna
+from fieldkit.channel.pattern import dipole_gain_db
 from fieldkit.errors import ConfigError, DataError
 
 ANTENNA = Antenna(2.5, -55.0, 3.0, -85.0)

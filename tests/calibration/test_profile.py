@@ -6,7 +6,7 @@ import pytest
 from calibration import study
 from calibration.fit import fit
 from calibration.profile import profile
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 
 
 def simulated(n, packets, truth=study.TRUTH, seed=0):

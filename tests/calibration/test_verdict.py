@@ -7,7 +7,7 @@ from calibration import study
 from calibration.dataset import from_arrays, read_readings
 from calibration.fit import Options, fit
 from calibration.verdict import judge
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.errors import CalibrationRefused
 
 QUIET = Antenna(2.5, -55.0, 3.0, -95.0)

@@ -18,8 +18,8 @@ from drivers.emulators.field import EmulatedRobot, FieldSpec, start
 from drivers.mavlink.fleet import open_link
 from drivers.xbee.receiver import open_receiver
 from fieldkit import plugins
-from fieldkit.antenna.model import Antenna
-from fieldkit.antenna.pattern import lobe_gain_db
+from fieldkit.channel.model import Antenna
+from fieldkit.channel.pattern import lobe_gain_db
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError
 from fieldkit.messages import Pose, ReceiverState, RssReading, Waypoint
@@ -145,7 +145,7 @@ def test_the_field_dies_with_a_killed_parent(tmp_path):
         textwrap.dedent("""
         import multiprocessing, time
         from drivers.emulators.field import EmulatedRobot, FieldSpec, start
-        from fieldkit.antenna.model import Antenna
+        from fieldkit.channel.model import Antenna
         from fieldkit.clock import ScaledClock
         from fieldkit.geo import FieldFrame
 

@@ -17,8 +17,8 @@ from drivers.positions.source import open_file
 from drivers.positions.survey import Settings, evaluate
 from drivers.positions.table import instant_ns
 from drivers.positions.tracks import read_track
-from fieldkit.antenna.file import AntennaFile, dump_antenna
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import ConfigError, DataError
 from fieldkit.geo import FieldFrame

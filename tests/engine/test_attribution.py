@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from fieldkit.engine import kernels, mixture_kernels
-from fieldkit.engine.belief.attribution import Shares, share_out
-from fieldkit.engine.belief.candidate import RATE_SHAPE, Candidate
+from fieldkit.engine.belief.intensity import loops
+from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate
+from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
+from fieldkit.engine.planning import path_loops
 
 PRIOR_S = 20.0
 
@@ -92,8 +93,8 @@ def test_one_more_source_is_weighed_as_the_poisson_process_says() -> None:
         part = like.reshape(2, row1 - row0, column1 - column0)
         expected[:, row0:row1, column0:column1] += np.log1p(f * part)
     out = np.empty_like(exposure)
-    rows = np.array([mixture_kernels.address(like) for like in likes])
-    mixture_kernels.another_source_llr(rows, boxes, factor, exposure, 0.05, out)
+    rows = np.array([loops.address(like) for like in likes])
+    loops.another_source_llr(rows, boxes, factor, exposure, 0.05, out)
     assert out == pytest.approx(expected, abs=1e-11)
 
 
@@ -123,7 +124,7 @@ def test_a_team_moves_abreast_as_plain_numpy_says(seed: int, robots: int, legs: 
     rng = np.random.default_rng(seed)
     path, start = rng.uniform(-1, 11, (legs, 2)), rng.uniform(0, 10, (robots, 2))
     places = np.empty((legs, robots, 2))
-    kernels.abreast(path, start, 1.3, np.full(2, 0.2), np.full(2, 9.8), places)
+    path_loops.abreast(path, start, 1.3, np.full(2, 0.2), np.full(2, 9.8), places)
     assert places == pytest.approx(plain_abreast(path, start, 1.3, 0.2, 9.8), abs=1e-9)
 
 
@@ -156,7 +157,7 @@ def test_a_team_is_on_its_way_where_plain_numpy_says(seed: int, robots: int, leg
     rng = np.random.default_rng(seed)
     places, start = rng.uniform(0, 10, (legs, robots, 2)), rng.uniform(0, 10, (robots, 2))
     out = np.empty((30, robots, 2))
-    kernels.track(places, start, 0.4, 1.5, 1.5, out)
+    path_loops.track(places, start, 0.4, 1.5, 1.5, out)
     assert out == pytest.approx(plain_track(places, start, 0.4, 1.5, 30, 1.5), abs=1e-9)
 
 
@@ -168,4 +169,4 @@ def test_tracks_meet_where_plain_numpy_says(seed: int, robots: int, others: int)
     gaps = np.hypot(*np.moveaxis(one[:, :, None] - other[:, None, :], -1, 0))
     separation = float(rng.uniform(0.05, 1.5))
     expected = bool((gaps[1:] < np.minimum(separation, gaps[0] - 1e-6)).any())
-    assert kernels.meets(one, other, separation) == expected
+    assert path_loops.meets(one, other, separation) == expected

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldkit.engine.csma_kernel import reading_likelihood
-from fieldkit.engine.sensing.csma import (
+from fieldkit.engine.likelihood.csma import (
     busy_collision_probability,
     collision_cdf,
     collision_pmf,
@@ -21,6 +20,7 @@ from fieldkit.engine.sensing.csma import (
     packet_shares,
     size_by_conservation,
 )
+from fieldkit.engine.likelihood.csma_loops import reading_likelihood
 
 VECTORS = {
     v["id"]: v

@@ -9,10 +9,11 @@ from hypothesis import example, given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
+from fieldkit.engine.association.detections import Associator
 from fieldkit.engine.belief.spog import SpogBelief
-from fieldkit.engine.decentral.exchange import Replica, feed, meet
-from fieldkit.engine.decentral.ring import (
+from fieldkit.engine.decentralised.exchange import Replica, feed, meet
+from fieldkit.engine.decentralised.ring import (
     first_checkpoints_s,
     initial_positions_s,
     initial_ways,
@@ -22,7 +23,6 @@ from fieldkit.engine.decentral.ring import (
     search_time_bound_s,
     swing,
 )
-from fieldkit.engine.detections import Associator
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import RecordingError

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fieldkit.engine.detections import Associator, PoseTrack
+from fieldkit.engine.association.detections import Associator, PoseTrack
 from fieldkit.messages import Pose, ReceiverState, RssReading
 
 S = 1_000_000_000

@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from fieldkit.antenna.file import AntennaFile, with_pattern
-from fieldkit.antenna.model import Antenna
-from fieldkit.antenna.pattern import lobe_gain_db
-from fieldkit.engine.belief.intensity import IntensityBelief
+from fieldkit.channel.antenna_file import AntennaFile, with_pattern
+from fieldkit.channel.model import Antenna
+from fieldkit.channel.pattern import lobe_gain_db
+from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
-from fieldkit.engine.sensing.directional import (
+from fieldkit.engine.likelihood.directional import (
     FORMS,
     DirectionalModel,
     bearing_rad,

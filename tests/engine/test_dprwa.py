@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from fieldkit import plugins
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.engine.belief.spog import SpogBelief
-from fieldkit.engine.decentral.circle import make_circle, plan_period
-from fieldkit.engine.decentral.ring import ring_time_s
-from fieldkit.engine.decentral.tracks import TrackAssociator
+from fieldkit.engine.decentralised.circle import make_circle, plan_period
+from fieldkit.engine.decentralised.ring import ring_time_s
+from fieldkit.engine.decentralised.tracks import TrackAssociator
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.dprwa import DprwaPlanner, dispatch, group_ridges, virtual_ridges

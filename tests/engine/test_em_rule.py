@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from fieldkit.antenna.model import Antenna
-from fieldkit.engine import kernels
-from fieldkit.engine.belief import spog
+from fieldkit.channel.model import Antenna
+from fieldkit.engine.belief import spog, spog_loops
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
@@ -21,12 +20,12 @@ def test_compiled_sweeps_are_em() -> None:
         share /= share.sum(axis=1, keepdims=True)
         expected = (floor + share.sum(axis=0)) / 31.0
     ours = pi.copy()
-    kernels.em_sweeps(likelihood, floor, 31.0, 4, ours)
+    spog_loops.em_sweeps(likelihood, floor, 31.0, 4, ours)
     assert ours == pytest.approx(expected, rel=1e-10)
     share = likelihood * expected
     share /= share.sum(axis=1, keepdims=True)
     absent = np.empty(50)
-    kernels.em_absent(likelihood, ours, settled, absent)
+    spog_loops.em_absent(likelihood, ours, settled, absent)
     assert absent == pytest.approx(settled + np.log1p(-share).sum(axis=0), rel=1e-9)
 
 

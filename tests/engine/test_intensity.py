@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 
-from fieldkit.antenna.model import Antenna
-from fieldkit.engine.belief import mixture
-from fieldkit.engine.belief.intensity import IntensityBelief
+from fieldkit.channel.model import Antenna
+from fieldkit.engine.belief.intensity import mixture
+from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, Listening

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldkit.engine.belief.intensity import IntensityBelief
-from fieldkit.engine.keepout import KeepOut
+from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.infogain import InfoGainPlanner
+from fieldkit.geometry.polygons import KeepOut
 from fieldkit.messages import GoTo, Hold, Pose, Waypoint
-from mission.bench import settings
-from mission.safety import Safety, SafetySettings
+from mission.lab.bench import settings
+from mission.safety.rules import Safety, SafetySettings
 
 SQUARE = KeepOut((((2.0, 2.0), (6.0, 2.0), (6.0, 6.0), (2.0, 6.0)),))
 L_SHAPE = KeepOut((((0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0)),))

@@ -7,9 +7,9 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from fieldkit.antenna.model import MIN_RANGE_M, Antenna
-from fieldkit.engine import kernels
-from fieldkit.engine.sensing.levels import OUTLIER_WIDTH, OUTLIERS, PACKET_LOSS, LevelsModel
+from fieldkit.channel.model import MIN_RANGE_M, Antenna
+from fieldkit.engine.likelihood import levels_loops
+from fieldkit.engine.likelihood.levels import OUTLIER_WIDTH, OUTLIERS, PACKET_LOSS, LevelsModel
 from fieldkit.messages import Detection
 from fieldkit.world.channel import sample_rss_dbm
 
@@ -96,7 +96,7 @@ def test_exposure_kernel_agrees_with_a_plain_twin() -> None:
     model = LevelsModel(ANTENNA, LEVELS, 0.05)
     robots = np.array([[1.0, 2.0], [3.0, 2.5]])
     exposure = np.zeros((model.level_dbm.size, 20, 30))
-    kernels.add_exposure(exposure, 0.2, robots, model.hear, model.step2_m2, model.limit2_m2, 2.0)
+    levels_loops.add_exposure(exposure, 0.2, robots, model.hear, model.step2_m2, model.limit2_m2, 2.0)
     north, east = np.meshgrid((np.arange(20) + 0.5) * 0.2, (np.arange(30) + 0.5) * 0.2, indexing="ij")
     silent = np.ones_like(exposure)
     for place in robots:

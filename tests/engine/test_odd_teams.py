@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fieldkit.engine.belief.intensity import IntensityBelief
+from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Detection, Pose, RssReading, Tick, VehicleState
 from fieldkit.world.sources import TransientSource
-from mission.bench import random_detection, settings
-from mission.kernel import Kernel, KernelSettings
-from mission.simulate import Truth, simulate
-from mission.study.trust import antenna
-from mission.study.trust import settings as study_settings
+from mission.core.kernel import Kernel, KernelSettings
+from mission.lab.bench import random_detection, settings
+from mission.lab.simulate import Truth, simulate
+from mission.lab.study.trust import antenna
+from mission.lab.study.trust import settings as study_settings
 
 S = 1_000_000_000
 

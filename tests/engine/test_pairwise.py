@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldkit.antenna.model import Antenna
-from fieldkit.engine.sensing.pairwise import (
+from fieldkit.channel.model import Antenna
+from fieldkit.engine.likelihood.pairwise import (
     RANGE_DB,
     PairwiseModel,
     attenuation_db,
@@ -18,9 +18,9 @@ from fieldkit.engine.sensing.pairwise import (
     log_likelihood_exact,
     ratio_tables,
 )
-from fieldkit.engine.spog_kernel import BLOCK
+from fieldkit.engine.likelihood.pairwise_loops import BLOCK
 from fieldkit.messages import Detection
-from mission.bench import pairwise_numpy, random_detection, settings
+from mission.lab.bench import pairwise_numpy, random_detection, settings
 
 VECTORS = json.loads((Path(__file__).parent.parent / "golden" / "team.json").read_text())["vectors"]
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.engine.belief.csma import CsmaBelief
 from fieldkit.engine.belief.particles import ParticleFilter, Strength
 from fieldkit.engine.grid import Grid
+from fieldkit.engine.likelihood.csma import dipole_gain
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.probable import ProbablePlanner
-from fieldkit.engine.sensing.csma import dipole_gain
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection
 from fieldkit.world.channel import sample_rss_dbm

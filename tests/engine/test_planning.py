@@ -12,19 +12,19 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 
 from fieldkit import plugins
-from fieldkit.engine.belief.intensity import IntensityBelief
+from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
+from fieldkit.engine.likelihood.pairwise import attenuation_db, log_e10, log_e11
 from fieldkit.engine.planning.base import Situation, abreast, track
 from fieldkit.engine.planning.infogain import HORIZON_S, InfoGainPlanner, blocks_summed
 from fieldkit.engine.planning.prwa import cluster_ridges
 from fieldkit.engine.planning.ridges import Ridge, farthest_pair, find_ridges
 from fieldkit.engine.planning.spacing import best_spacing_m, spacing_entropies
 from fieldkit.engine.planning.tour import EXACT_RIDGES, off_ridge_m, ridge_tour, time_on_ridges_s
-from fieldkit.engine.sensing.pairwise import attenuation_db, log_e10, log_e11
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Listening
-from mission.bench import settings
+from mission.lab.bench import settings
 
 GOLDEN = Path(__file__).parent.parent / "golden"
 

@@ -11,7 +11,7 @@ from fieldkit.engine.planning.dprwa import DprwaPlanner
 from fieldkit.engine.planning.prwa import LEVEL, PrwaPlanner
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Plan
-from mission.bench import random_detection, settings
+from mission.lab.bench import random_detection, settings
 
 TEAMS = (("a", "b"), ("c", "d"), ("e",))
 """An odd number of robots: the last goes alone."""

@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.engine.belief.spog import EIGHT, SpogBelief
 from fieldkit.engine.grid import Grid
-from fieldkit.engine.keepout import KeepOut
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.bounds import missed_tours, mst_tour_bound_m, rwa_search_time_bound_s
 from fieldkit.engine.planning.detour import Detours
@@ -22,6 +21,7 @@ from fieldkit.engine.planning.rwa import RwaPlanner, level_of
 from fieldkit.engine.planning.schedule import ridge_schedule
 from fieldkit.engine.planning.tour import off_ridge_m, ridge_tour, time_on_ridges_s
 from fieldkit.engine.settings import EngineSettings
+from fieldkit.geometry.polygons import KeepOut
 
 VECTORS = {
     v["id"]: v

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldkit.antenna.model import Antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.engine.belief.spog import SpogBelief
+from fieldkit.engine.belief.spog_loops import add_shares
 from fieldkit.engine.grid import Grid
-from fieldkit.engine.sensing.pairwise import log_likelihood_exact
-from fieldkit.engine.spog_kernel import add_shares
+from fieldkit.engine.likelihood.pairwise import log_likelihood_exact
 from fieldkit.errors import ConfigError
-from mission.bench import random_detection, settings, spog_numpy
+from mission.lab.bench import random_detection, settings, spog_numpy
 
 VECTORS = json.loads((Path(__file__).parent.parent / "golden" / "team.json").read_text())["vectors"]
 TWO_EVENTS = [pytest.param(v, id=v["id"]) for v in VECTORS if v["kind"] == "spog_two_events"]

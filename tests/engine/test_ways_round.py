@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from fieldkit import plugins
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
-from fieldkit.engine.keepout import KeepOut, Polygon
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.detour import CLEARANCE_M, MOST_CELLS, Detours
 from fieldkit.engine.planning.dprwa import DprwaPlanner
 from fieldkit.engine.settings import EngineSettings
+from fieldkit.geometry.polygons import KeepOut, Polygon
+from fieldkit.geometry.segments import outside
 from fieldkit.messages import Plan
-from mission.bench import settings
-from mission.ways import outside
+from mission.lab.bench import settings
 
 OTHERS = [name for name in plugins.names("fieldkit.planners") if name != "infogain"]
 WALL = KeepOut((((11.0, -1.0), (12.0, -1.0), (12.0, 20.0), (11.0, 20.0)),))

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fieldkit.antenna.model import Antenna
-from fieldkit.antenna.pattern import lobe_gain_db
+from fieldkit.channel.model import Antenna
+from fieldkit.channel.pattern import lobe_gain_db
 from fieldkit.messages import Detection, SourceEstimate
 from fieldkit.world.channel import sample_rss_dbm
 from mission.analysis.coverage import coverage

@@ -16,7 +16,7 @@ from fieldkit.recording import RecordingWriter, open_recording
 from mission.analysis import campaign
 from mission.analysis.compare import compare
 from mission.analysis.figures import figures
-from mission.synthetic import record_simulated, small_mission
+from mission.lab.synthetic import record_simulated, small_mission
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 from collections import Counter
 
 from fieldkit.recording.records import Contents, walk
-from mission.campaign import damage, kills
-from mission.synthetic import record_simulated
+from mission.lab.campaign import damage, kills
+from mission.lab.synthetic import record_simulated
 
 
 def quietly(share: float, text: str) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mission.synthetic import record_simulated, small_mission
+from mission.lab.synthetic import record_simulated, small_mission
 
 COMMANDS = [
     ["demo"],

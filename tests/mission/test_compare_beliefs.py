@@ -8,8 +8,8 @@ import pytest
 from fieldkit.messages import Detection
 from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.sources import TransientSource
-from mission.compare_beliefs import METHODS, Recorded, score
-from mission.study.trust import antenna, settings
+from mission.lab.compare_beliefs import METHODS, Recorded, score
+from mission.lab.study.trust import antenna, settings
 
 PLACE = (12.3, 11.7)
 

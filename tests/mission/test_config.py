@@ -7,9 +7,9 @@ import pytest
 from fieldkit import plugins
 from fieldkit.engine.planning.dprwa import DprwaPlanner
 from fieldkit.errors import ConfigError
-from mission.config import read_mission
-from mission.synthetic import small_mission
-from mission.template import mission_text
+from mission.core.mission_file import read_mission
+from mission.core.template import mission_text
+from mission.lab.synthetic import small_mission
 
 
 @pytest.fixture

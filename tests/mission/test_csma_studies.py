@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fieldkit.engine.sensing.csma import busy_collision_probability, collision_cdf, idle_probability
-from mission.study.channel import shares, simulate_channel
-from mission.study.csma import FIG6, gain_table, offered_for, reading, search_trial
-from mission.study.experiment import Job
+from fieldkit.engine.likelihood.csma import busy_collision_probability, collision_cdf, idle_probability
+from mission.lab.study.channel import shares, simulate_channel
+from mission.lab.study.csma import FIG6, gain_table, offered_for, reading, search_trial
+from mission.lab.study.experiment import Job
 
 
 def test_three_packets_by_hand() -> None:

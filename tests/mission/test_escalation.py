@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from fieldkit.engine.keepout import KeepOut
+from fieldkit.geometry.polygons import KeepOut
+from fieldkit.geometry.segments import outside
 from fieldkit.messages import (
     CallOperator,
     Command,
@@ -19,8 +20,7 @@ from fieldkit.messages import (
     VehicleState,
     Waypoint,
 )
-from mission.safety import Safety, SafetySettings
-from mission.ways import outside
+from mission.safety.rules import Safety, SafetySettings
 
 S = 1_000_000_000
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from fieldkit import jumploop
-from mission.safety import SafetySettings
-from mission.study import faults
-from mission.study.faults import KINDS, LARGE, SMALL, Fault, Job, draw_faults, summary, trial
+from mission.lab.study import faults
+from mission.lab.study.faults import KINDS, LARGE, SMALL, Fault, Job, draw_faults, summary, trial
+from mission.safety.rules import SafetySettings
 
 
 def test_faults_come_from_the_seed_and_every_kind_comes_up() -> None:

@@ -8,9 +8,9 @@ import pytest
 
 from fieldkit.messages import EndMission, GoTo, Operator, Pose, RssReading, Tick, VehicleState
 from fieldkit.world.sources import TransientSource
-from mission.kernel import MOST_AT_ONCE, MOST_WAITING, Kernel, KernelSettings, state_digest
-from mission.simulate import Truth, simulate
-from mission.synthetic import ANTENNA, LEVELS_DB, small_mission
+from mission.core.kernel import MOST_AT_ONCE, MOST_WAITING, Kernel, KernelSettings, state_digest
+from mission.lab.simulate import Truth, simulate
+from mission.lab.synthetic import ANTENNA, LEVELS_DB, small_mission
 
 S = 1_000_000_000
 

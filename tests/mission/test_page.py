@@ -15,12 +15,12 @@ from fieldkit.messages import (
     Tick,
     VehicleState,
 )
-from mission.keyboard import meaning
+from mission.lab.synthetic import small_mission
 from mission.page.exposure import Exposure
 from mission.page.live import LiveShow
 from mission.page.server import NEWS_WAITING, Mailbox, checked_command, is_known_host, is_own_origin
 from mission.page.view import View, grid, thin
-from mission.synthetic import small_mission
+from mission.shell.keyboard import meaning
 
 S = 1_000_000_000
 

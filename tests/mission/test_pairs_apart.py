@@ -7,10 +7,10 @@ from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection
 from fieldkit.world.sources import random_sources
-from mission.study.apart import Ring, Train, Walk, search_apart
-from mission.study.dprwa import trial
-from mission.study.experiment import Job
-from mission.study.prwa import LEVELS_DB, engine
+from mission.lab.study.apart import Ring, Train, Walk, search_apart
+from mission.lab.study.dprwa import trial
+from mission.lab.study.experiment import Job
+from mission.lab.study.prwa import LEVELS_DB, engine
 
 HIDDEN = tuple(random_sources(3, 25.0, 25.0, LEVELS_DB, 0.05, np.random.default_rng(5)))
 

@@ -7,10 +7,10 @@ from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.walks import PairPatrol, Patrol
 from fieldkit.engine.settings import EngineSettings
-from mission.study import prwa, rwa
-from mission.study.experiment import Experiment, Job, key, plot, run, summarise, table_csv
-from mission.study.packets import transmissions
-from mission.study.twin import against_numpy
+from mission.lab.study import prwa, rwa
+from mission.lab.study.experiment import Experiment, Job, key, plot, run, summarise, table_csv
+from mission.lab.study.packets import transmissions
+from mission.lab.study.twin import against_numpy
 
 
 def quiet(share: float, text: str) -> None:

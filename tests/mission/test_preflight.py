@@ -15,11 +15,11 @@ from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
 from fieldkit.world.rover import Rover
 from fieldkit.world.sources import TransientSource
-from mission import rigs
-from mission.preflight import judge_calibration, judge_places, preflight
-from mission.rigs import Rig, start_places
-from mission.runner import Runner
-from mission.synthetic import small_mission
+from mission.lab.synthetic import small_mission
+from mission.shell import setups
+from mission.shell.preflight import judge_calibration, judge_places, preflight
+from mission.shell.runner import Runner
+from mission.shell.setups import Rig, start_places
 
 
 class Careless(FakeFleet):
@@ -123,7 +123,7 @@ def test_a_missing_radio_is_red_and_the_rest_is_checked_all_the_same(tmp_path: P
 def test_an_emulated_field_passes_on_its_wires(tmp_path: Path) -> None:
     mission = small_mission(tmp_path)
     sources = (TransientSource(3.0, 2.0, 0.0, 1.0), TransientSource(7.0, 2.0, 0.0, 1.0))
-    with rigs.emulated(mission, sources, seed=1, rate=5.0) as rig:
+    with setups.emulated(mission, sources, seed=1, rate=5.0) as rig:
         checks = asyncio.run(preflight(mission, rig, tmp_path, 15.0))
     red = [check for check in checks if check.level == "red" and check.name != "disk"]
     assert not red

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from fieldkit.recording import open_recording
-from mission.synthetic import record_simulated
+from mission.lab.synthetic import record_simulated
 
 PYTHONS = [path for path in os.environ.get("FIELDKIT_PYTHONS", "").split(os.pathsep) if path]
 CODE = """
 import sys
 from pathlib import Path
-from mission.replay import replay
+from mission.replay.replay import replay
 done = replay(Path(sys.argv[1]))
 print(done.kernel.digest(), done.compared)
 """

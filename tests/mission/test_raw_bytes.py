@@ -5,11 +5,11 @@ from pathlib import Path
 from fieldkit.messages import RssReading
 from fieldkit.recording import open_recording
 from fieldkit.recording.records import Contents, walk
-from mission import rigs
-from mission.config import read_mission
-from mission.demo import fly
-from mission.replay import replay
-from mission.synthetic import hidden_sources, small_mission
+from mission.core.mission_file import read_mission
+from mission.lab.demo import fly
+from mission.lab.synthetic import hidden_sources, small_mission
+from mission.replay.replay import replay
+from mission.shell import setups
 
 
 def recorded(folder: Path, more: str) -> Path:
@@ -17,7 +17,7 @@ def recorded(folder: Path, more: str) -> Path:
     file = folder / "mission.toml"
     file.write_text(file.read_text() + more)
     mission = read_mission(file)
-    with rigs.emulated(mission, hidden_sources(1), seed=1, rate=8.0) as rig:
+    with setups.emulated(mission, hidden_sources(1), seed=1, rate=8.0) as rig:
         fly(mission, rig, folder / "mission.mcap")
     return folder / "mission.mcap"
 

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from fieldkit.antenna.file import read_antenna
+from fieldkit.channel.antenna_file import read_antenna
 from fieldkit.errors import RecordingError, ReplayMismatch
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.rewrite import rewrite
-from mission.replay import recorded_mission, replay, what_if
-from mission.synthetic import record_simulated
+from mission.lab.synthetic import record_simulated
+from mission.replay.replay import recorded_mission, replay, what_if
 
 
 @pytest.fixture(scope="module")

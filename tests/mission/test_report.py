@@ -11,10 +11,10 @@ from fieldkit.errors import RecordingError
 from fieldkit.messages import Hold, Pose, ReceiverState, RssReading, Tick, VehicleState
 from fieldkit.recording import RecordingWriter, open_recording
 from mission.analysis.faults import faults
+from mission.analysis.history import read_story
 from mission.analysis.report import write_report
-from mission.analysis.story import read_story
 from mission.analysis.use import stretches, use
-from mission.synthetic import record_simulated, small_mission
+from mission.lab.synthetic import record_simulated, small_mission
 
 
 @pytest.fixture(scope="module")

@@ -14,11 +14,11 @@ from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
 from fieldkit.world.rover import Rover
-from mission.config import Mission
-from mission.replay import replay, resumable
-from mission.rigs import Rig, start_places
-from mission.runner import Runner
-from mission.synthetic import small_mission
+from mission.core.mission_file import Mission
+from mission.lab.synthetic import small_mission
+from mission.replay.replay import replay, resumable
+from mission.shell.runner import Runner
+from mission.shell.setups import Rig, start_places
 
 
 class Scene:

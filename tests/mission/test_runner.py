@@ -15,11 +15,11 @@ from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
 from fieldkit.world.rover import Rover
-from mission.helm import Helm
-from mission.replay import replay
-from mission.rigs import Rig, start_places
-from mission.runner import Progress, Runner
-from mission.synthetic import small_mission
+from mission.lab.synthetic import small_mission
+from mission.replay.replay import replay
+from mission.shell.dispatcher import Helm
+from mission.shell.runner import Progress, Runner
+from mission.shell.setups import Rig, start_places
 
 
 class Deaf(FakeReceiver):
@@ -162,7 +162,7 @@ def test_every_reception_is_looked_at_as_soon_as_it_can_be(tmp_path: Path) -> No
 def test_silent_vehicles_are_named_before_anything_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mission.runner.READY_TIMEOUT_S", 5.0)
+    monkeypatch.setattr("mission.shell.runner.READY_TIMEOUT_S", 5.0)
 
     class Mute(FakeFleet):
         async def _drive(self) -> None:
@@ -186,7 +186,7 @@ def test_a_mistake_in_the_kernel_holds_the_vehicles(tmp_path: Path, monkeypatch:
         fleets.append(rig.links[0])  # type: ignore[arg-type]
         return rig
 
-    from mission.kernel import Kernel
+    from mission.core.kernel import Kernel
 
     genuine = Kernel._finished
 

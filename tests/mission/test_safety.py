@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fieldkit.messages import CallOperator, GoTo, Hold, Operator, Pose, Return, Tick, VehicleState, Waypoint
-from mission.safety import Safety, SafetySettings
+from mission.safety.rules import Safety, SafetySettings
 
 S = 1_000_000_000
 LIMITS = SafetySettings(

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from fieldkit.errors import ConfigError
-from mission.study.options import supported
-from mission.study.pool import read_kept, run_trials
+from mission.lab.study.options import supported
+from mission.lab.study.pool import read_kept, run_trials
 
 DASK = [sys.executable, "-m", "dask"]
 
@@ -64,7 +64,7 @@ def test_a_line_cut_short_by_a_kill_costs_one_trial_only(tmp_path: Path) -> None
 def test_a_study_that_was_killed_goes_on(tmp_path: Path) -> None:
     jobs, kept = tasks(tmp_path, 40), tmp_path / "trials.jsonl"
     code = (
-        "from test_study_pool import *\nfrom mission.study.pool import run_trials\n"
+        "from test_study_pool import *\nfrom mission.lab.study.pool import run_trials\n"
         f"run_trials(trial, tasks(Path({str(tmp_path)!r}), 40), workers=1, kept=Path({str(kept)!r}))"
     )
     study = subprocess.Popen([sys.executable, "-c", code], env=environment(), start_new_session=True)
@@ -137,7 +137,7 @@ def test_a_worker_killed_half_way_loses_no_trial_and_doubles_none(tmp_path: Path
 
 def test_a_cluster_that_is_not_there_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("mission.study.pool.CONNECT_S", 0.3)
+    monkeypatch.setattr("mission.lab.study.pool.CONNECT_S", 0.3)
     with pytest.raises(ConfigError, match=r"no scheduler answers.*dask scheduler"):
         run_trials(trial, tasks(tmp_path, 1), dask="tcp://127.0.0.1:9")
     monkeypatch.setitem(sys.modules, "distributed", None)

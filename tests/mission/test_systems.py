@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from fieldkit import plugins
-from fieldkit.antenna.file import AntennaFile
-from fieldkit.antenna.pattern import dipole_gain_db, lobe_gain_db
+from fieldkit.channel.antenna_file import AntennaFile
+from fieldkit.channel.pattern import dipole_gain_db, lobe_gain_db
 from fieldkit.errors import ConfigError
 from fieldkit.messages import GoTo
 from fieldkit.recording.reader import open_recording
-from mission.replay import replay
-from mission.synthetic import ANTENNA, record_simulated, small_mission
+from mission.lab.synthetic import ANTENNA, record_simulated, small_mission
+from mission.replay.replay import replay
 
 FAR = replace(ANTENNA, threshold_dbm=-95.0)
 """Hears the whole field, as single robots do in the papers."""

@@ -3,7 +3,7 @@
 from itertools import combinations
 from math import dist, inf
 
-from mission.study.trust import SCENARIOS, Job, by_nearest_pair
+from mission.lab.study.trust import SCENARIOS, Job, by_nearest_pair
 
 FOUR = next(scenario for scenario in SCENARIOS if scenario.name == "4 sources")
 ONE = next(scenario for scenario in SCENARIOS if scenario.name == "1 source")

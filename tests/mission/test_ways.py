@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldkit.engine.keepout import KeepOut
-from mission.ways import Way, ever_m, margin_m, nearest_m, outside, standing
+from fieldkit.geometry.polygons import KeepOut
+from fieldkit.geometry.segments import Way, ever_m, margin_m, nearest_m, outside, standing
 
 L_SHAPE = ((0.0, 0.0), (10.0, 0.0), (10.0, 5.0), (5.0, 5.0), (5.0, 10.0), (0.0, 10.0))
 places = st.tuples(st.floats(-20, 20), st.floats(-20, 20))

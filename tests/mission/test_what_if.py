@@ -14,10 +14,10 @@ from fieldkit.messages import Plan, RssReading, Tick, Waypoint
 from fieldkit.recording import RecordingWriter, open_recording
 from fieldkit.recording.merge import merge
 from fieldkit.recording.redact import redact
-from mission.pace import Pace, line
-from mission.replay import changed, recorded_mission, replay, what_if
-from mission.replaying import Changes, compare_plans, replay_one
-from mission.synthetic import record_simulated
+from mission.lab.synthetic import record_simulated
+from mission.replay.command import Changes, compare_plans, replay_one
+from mission.replay.pace import Pace, line
+from mission.replay.replay import changed, recorded_mission, replay, what_if
 
 
 @pytest.fixture(scope="module")

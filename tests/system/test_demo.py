@@ -13,7 +13,7 @@ from fieldkit.clock import wall_s, wall_sleep
 from fieldkit.errors import RecordingError
 from fieldkit.messages import GoTo
 from fieldkit.recording.reader import open_recording
-from mission.replay import replay
+from mission.replay.replay import replay
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fieldkit.recording import open_recording
-from mission.synthetic import record_simulated
+from mission.lab.synthetic import record_simulated
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples"
 

@@ -16,10 +16,10 @@ from drivers.emulators.rover import GUIDED, HOLD
 from fieldkit.clock import ScaledClock, wall_sleep
 from fieldkit.recording.reader import open_recording
 from fieldkit.world.sources import TransientSource
-from mission.config import read_mission
-from mission.replay import replay
-from mission.rigs import start_places
-from mission.synthetic import small_mission
+from mission.core.mission_file import read_mission
+from mission.lab.synthetic import small_mission
+from mission.replay.replay import replay
+from mission.shell.setups import start_places
 
 
 def wait_until(condition: Any, timeout_s: float = 120.0) -> None:

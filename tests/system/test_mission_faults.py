@@ -7,12 +7,12 @@ from fieldkit.messages import GoTo, Hold, ReceiverState, Return, VehicleState
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.sources import TransientSource
-from mission import rigs
-from mission.replay import replay
-from mission.rigs import Rig
-from mission.runner import Runner
-from mission.synthetic import small_mission
-from mission.warm import warm_up
+from mission.lab.synthetic import small_mission
+from mission.replay.replay import replay
+from mission.shell import setups
+from mission.shell.runner import Runner
+from mission.shell.setups import Rig
+from mission.shell.warm_up import warm_up
 
 
 def test_an_unplugged_radio_and_a_lost_link_stop_neither_mission_nor_record(tmp_path: Path) -> None:
@@ -33,7 +33,7 @@ def test_an_unplugged_radio_and_a_lost_link_stop_neither_mission_nor_record(tmp_
 
     path = tmp_path / "mission.mcap"
     with (
-        rigs.emulated(mission, sources, seed=1, rate=5.0) as rig,
+        setups.emulated(mission, sources, seed=1, rate=5.0) as rig,
         RecordingWriter(path, mission_toml=mission.text, antenna_toml=mission.antenna_text) as recorder,
     ):
         runner = Runner(mission, rig, recorder)

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldkit.antenna.file import AntennaFile
-from fieldkit.antenna.pattern import lobe_gain_db
+from fieldkit.channel.antenna_file import AntennaFile
+from fieldkit.channel.pattern import lobe_gain_db
 from fieldkit.messages import GoTo
 from fieldkit.recording.reader import open_recording
-from mission import rigs
-from mission.demo import fly
-from mission.replay import replay
-from mission.synthetic import ANTENNA, hidden_sources, small_mission
-from mission.warm import warm_up
+from mission.lab.demo import fly
+from mission.lab.synthetic import ANTENNA, hidden_sources, small_mission
+from mission.replay.replay import replay
+from mission.shell import setups
+from mission.shell.warm_up import warm_up
 
 HEADING = np.arange(0.0, 360.0, 10.0)
 FAR = replace(ANTENNA, threshold_dbm=-95.0)
@@ -40,7 +40,7 @@ def test_a_system_of_the_papers_flies_the_live_path(name: str, tmp_path: Path) -
     )
     warm_up(mission)
     log = tmp_path / "mission.mcap"
-    with rigs.emulated(mission, hidden_sources(2), seed=2, rate=10.0) as rig:
+    with setups.emulated(mission, hidden_sources(2), seed=2, rate=10.0) as rig:
         runner = fly(mission, rig, log, truth=hidden_sources(2))
     assert "time is up" in runner.end_reason
     assert runner.kernel.detections > 0

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fieldkit.engine.belief.particles import ParticleFilter, Strength
-from fieldkit.engine.sensing.csma import busy_collision_probability, packet_shares
+from fieldkit.engine.likelihood.csma import busy_collision_probability, packet_shares
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from fieldkit.engine.csma_kernel import reading_likelihood
+from fieldkit.engine.likelihood.csma_loops import reading_likelihood
 from fieldkit.messages import FloatArray
 
 

@@ -21,10 +21,10 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import logsumexp
 
-from fieldkit.engine import kernels, spog_kernel
-from fieldkit.engine.sensing.directional import DirectionalModel
-from fieldkit.engine.sensing.levels import LevelsModel
-from fieldkit.engine.sensing.pairwise import PairwiseModel
+from fieldkit.engine.belief import spog_loops
+from fieldkit.engine.likelihood.directional import DirectionalModel
+from fieldkit.engine.likelihood.levels import LevelsModel
+from fieldkit.engine.likelihood.pairwise import PairwiseModel
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
@@ -94,7 +94,7 @@ class SpogBelief:
         log_weight -= log_weight.max()
         p1 = np.exp(log_weight)
         total = float(p1.sum())
-        spog_kernel.add_shares(p1, total, self.log_absent, self._sum_p1)
+        spog_loops.add_shares(p1, total, self.log_absent, self._sum_p1)
         match self.settings.prior_rule:
             case "literal":
                 log_weight -= np.log(total)
@@ -118,10 +118,10 @@ class SpogBelief:
         stored = self._likelihoods[: self._stored]
         pi = np.exp(self.log_prior)
         # One pseudo-event spread over the field keeps every cell alive.
-        kernels.em_sweeps(stored, 1.0 / n + self._settled_p1, 1.0 + self._events, EM_SWEEPS, pi)
+        spog_loops.em_sweeps(stored, 1.0 / n + self._settled_p1, 1.0 + self._events, EM_SWEEPS, pi)
         self.log_prior = np.log(pi)
         self.log_absent = np.empty(n)
-        kernels.em_absent(stored, pi, self._settled, self.log_absent)
+        spog_loops.em_absent(stored, pi, self._settled, self.log_absent)
         if self._stored > MAX_EVENTS:  # the older half keeps its last attribution
             half = self._stored // 2
             share = stored[:half] * pi

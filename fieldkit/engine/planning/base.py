@@ -7,9 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from fieldkit.engine import kernels
 from fieldkit.engine.belief.base import Belief
 from fieldkit.engine.grid import Grid
+from fieldkit.engine.planning import path_loops
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
@@ -56,7 +56,7 @@ def abreast(
     low = np.array([margin_m, margin_m])
     high = np.maximum(low, np.array([grid.size_east_m, grid.size_north_m]) - margin_m)
     places = np.empty((centre_path_m.shape[0], start_m.shape[0], 2))
-    kernels.abreast(
+    path_loops.abreast(
         np.ascontiguousarray(centre_path_m), np.ascontiguousarray(start_m), spacing_m, low, high, places
     )
     return places
@@ -87,7 +87,7 @@ def track(
     At a corner the team waits until its slowest robot has turned on the spot, at `turn_deg_s`.
     """
     out = np.empty((max(1, int(horizon_s / step_s)), start_m.shape[0], 2))
-    kernels.track(
+    path_loops.track(
         np.ascontiguousarray(places_m),
         np.ascontiguousarray(start_m),
         speed_m_s,

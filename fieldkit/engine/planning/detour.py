@@ -14,7 +14,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from fieldkit.engine.grid import Grid
-from fieldkit.engine.keepout import KeepOut
+from fieldkit.geometry.polygons import KeepOut
 from fieldkit.messages import FloatArray
 
 CLEARANCE_M = 0.25

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldkit.engine import kernels
 from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.belief.intensity import IntensityBelief, Unresolved
+from fieldkit.engine.belief.intensity.belief import IntensityBelief, Unresolved
+from fieldkit.engine.planning import path_loops
 from fieldkit.engine.planning.base import Situation, legs_within_range, track, waypoints
-from fieldkit.engine.planning.ledger import STEP_S, Ledger
+from fieldkit.engine.planning.reward import STEP_S, Ledger
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.messages import FloatArray, Plan, Waypoint
@@ -222,7 +222,7 @@ class InfoGainPlanner:
         low = np.full(2, s.fence_margin_m)
         high = np.maximum(low, np.array([self.grid.size_east_m, self.grid.size_north_m]) - s.fence_margin_m)
         places = np.zeros((len(ways), MOST_LEGS, len(team), 2))
-        kernels.all_abreast(centres, legs, start, spacing_m, low, high, places)
+        path_loops.all_abreast(centres, legs, start, spacing_m, low, high, places)
         range_m = np.array([situation.range_m.get(robot, np.inf) for robot in team])
         home_m = np.array([situation.home_m.get(robot, at) for robot, at in zip(team, start, strict=True)])
         if not np.isinf(range_m).all():
@@ -233,7 +233,7 @@ class InfoGainPlanner:
             can &= [not self._blocked(start, places[i, :count]) for i, count in enumerate(legs)]
         places, legs = places[can], legs[can]
         tracks = np.empty((len(legs), n_steps(horizon_s), len(team), 2))
-        kernels.all_tracks(
+        path_loops.all_tracks(
             places, legs, start, s.max_speed_m_s, math.radians(s.max_turn_deg_s), STEP_S, tracks
         )
         return _Options([p for p, kept in zip(purpose, can, strict=True) if kept], places, legs, tracks)

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from fieldkit.engine import entropy_kernel, spog_kernel
-from fieldkit.engine.sensing.pairwise import RANGE_DB, STEP_DB, tables
+from fieldkit.engine.likelihood import pairwise_loops
+from fieldkit.engine.likelihood.pairwise import RANGE_DB, STEP_DB, tables
+from fieldkit.engine.planning import spacing_loops
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray
 
@@ -48,7 +49,7 @@ def spacing_entropies(
     distribution; kept as printed unless `normalised`.
     """
     e11, e10 = (
-        spog_kernel.lines(np.arange(float(len(table))), np.exp(table))
+        pairwise_loops.lines(np.arange(float(len(table))), np.exp(table))
         for table in tables(settings.antenna.sigma_db)
     )
     levels = settings.antenna.power_at_1m_dbm + np.array(settings.power_levels_db)
@@ -57,7 +58,7 @@ def spacing_entropies(
         half = 0.5 * spacing * across
         pairs = np.ascontiguousarray(np.stack([centres_m - half, centres_m + half], axis=1))
         entropy.append(
-            entropy_kernel.spacing_entropy(
+            spacing_loops.spacing_entropy(
                 np.ascontiguousarray(cells_m),
                 np.ascontiguousarray(presence),
                 np.ascontiguousarray(prior),

@@ -1,0 +1,1 @@
+"""The default belief: sources as candidates with a place, a power and a rate each; silence is evidence."""

@@ -1,0 +1,294 @@
+"""The default belief: transmissions as a spatial Poisson process, silence as exposure, sources as a mixture.
+
+The mixture decides who sent what; this file decides what may be said of it: candidate, found, doubtful.
+
+Ground where the team listened and heard nothing is known to be emptier: a source that sends at a Gamma(a, b) rate
+is still there, unheard after exposure E, with weight (b / (b + E))^a.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Summary
+from fieldkit.engine.belief.intensity.mixture import Mixture
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.errors import ConfigError
+from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
+
+WITHDRAW = 0.75
+"""A find is withdrawn when the probability of its place falls below this share of the threshold."""
+SETTLED = 0.995
+"""A find that is so probably within one cell of its place needs no further look."""
+MAX_SQUARED_RESIDUAL = 2.5
+"""Mean squared standardised residual above which readings do not look like what the antenna file predicts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unresolved:
+    """What a planner needs to know of a candidate: samples of where and how strong it may be."""
+
+    ident: int
+    points_m: FloatArray
+    """(k, 2) equally likely places."""
+    level: FloatArray
+    """(k,) index of the fixed power hypothesis there."""
+    cov_m2: FloatArray
+    rate_hz: float
+    receptions: float
+    p_here: float
+    state: str
+    may_be_two: bool
+
+
+class IntensityBelief:
+    """See the module. Not thread-safe; deterministic."""
+
+    def __init__(self, settings: EngineSettings) -> None:
+        if settings.antenna.pattern_db:
+            raise ConfigError(
+                "belief 'intensity' takes every antenna for one that hears the same all round, and this one is "
+                "directional: choose belief 'spog' with sensing 'directional'"
+            )
+        self.settings = settings
+        self.grid = settings.grid
+        self.mixture = Mixture(settings)
+        self.model = self.mixture.model
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """The sources believed in, in order of birth."""
+        return self.mixture.candidates
+
+    @property
+    def exposure_s(self) -> FloatArray:
+        """(h - 1, n_north, n_east): P(some robot hears) integrated over the time listened, by power hypothesis."""
+        return self.mixture.exposure_s
+
+    def listen(self, listening: Listening) -> None:
+        """Take in a stretch of listening: silence where nothing is detected."""
+        self.mixture.listen(listening)
+
+    def detect(self, detection: Detection) -> None:
+        """Take in a transmission, judge the candidates anew, and think it over."""
+        self.detect_all((detection,))
+        self.reflect()
+
+    def detect_all(self, detections: Sequence[Detection]) -> None:
+        """Take in several with one look at who sent what; stories are told by `reflect`."""
+        self.mixture.detect(detections)
+        self._judge()
+
+    def reflect(self) -> bool:
+        """Tell the story of a candidate afresh where that is due; whether another story was better."""
+        changed = self.mixture.reflect()
+        if changed is not None:
+            self._judge()
+        return changed is not None
+
+    def _judge(self) -> None:
+        """Candidate, found or doubtful; a find that later evidence takes back says why."""
+        threshold = self.settings.found_probability
+        for candidate in self.candidates:
+            summary = self.mixture.summary(candidate)
+            enough = candidate.receptions >= self.settings.min_receptions - 0.1
+            placed = summary.p_here >= (threshold if candidate.state != "found" else WITHDRAW * threshold)
+            if not (enough and placed):
+                candidate.certain_since = None
+                if candidate.state == "found":
+                    candidate.note = f"withdrawn: probability of being here fell to {summary.p_here:.2f}"
+                candidate.state = "candidate"
+                continue
+            if candidate.state == "candidate" and self._fresh_evidence(candidate):
+                continue
+            doubt = self._doubt(candidate, summary)
+            candidate.state = "doubtful" if doubt else "found"
+            candidate.note = doubt or self._may_be_two(candidate)
+
+    def _may_be_two(self, candidate: Candidate) -> str:
+        """What to know of a find that is as well explained as two sources; empty for others."""
+        rival = candidate.rival
+        if rival is None or rival.probability < 0.1:
+            return ""
+        (east, north), (east2, north2) = rival.places_m
+        return (
+            f"may be two sources, at {east:.1f}, {north:.1f} m and {east2:.1f}, {north2:.1f} m, "
+            f"with probability {rival.probability:.2f}"
+        )
+
+    def _fresh_evidence(self, candidate: Candidate) -> bool:
+        """Whether this is the first look at which the place is certain enough: a find must outlast one reception.
+
+        The moment a probability first crosses a threshold is picked for being high; one more independent reception
+        that leaves it there is worth more than a higher threshold.
+        """
+        if candidate.certain_since is None:
+            candidate.certain_since = candidate.receptions
+        return candidate.receptions < candidate.certain_since + 0.7
+
+    def _doubt(self, candidate: Candidate, summary: Summary) -> str:
+        """Why the readings do not look like what the antenna file predicts; empty when they do."""
+        if summary.p_outside > 0.5:
+            return (
+                f"the model does not explain these readings: they look like a source {summary.power_db:+.0f} dB from "
+                f"the calibrated one, outside the power levels given ({min(self.settings.power_levels_db):+.0f} to "
+                f"{max(self.settings.power_levels_db):+.0f} dB)"
+            )
+        misfit, count = self._misfit(candidate)
+        if count >= 5 and misfit > MAX_SQUARED_RESIDUAL:
+            return (
+                f"the model does not explain these readings: residuals are {np.sqrt(misfit):.1f} times as wide as "
+                f"the antenna file's sigma of {self.settings.antenna.sigma_db:.1f} dB ({count} readings)"
+            )
+        return ""
+
+    def _misfit(self, candidate: Candidate) -> tuple[float, int]:
+        """Mean squared standardised residual of the readings it claims, at the most probable place and power."""
+        log = candidate.log_posterior()[:-1]
+        level, index = np.unravel_index(int(np.argmax(log)), log.shape)
+        claimed = [self.mixture.open[number] for number, share in candidate.share.items() if share >= 0.5]
+        if not claimed:
+            return 0.0, 0
+        position = np.concatenate([stored.near_m for stored in claimed])
+        rss = np.concatenate([stored.rss_dbm for stored in claimed])
+        distance = np.hypot(*(position - candidate.points_m[index]).T)
+        mean = self.settings.antenna.mean_rss_dbm(distance, self.model.power_db[level])
+        squares = ((rss - mean) / self.model.spread_db(distance)) ** 2
+        use = ~np.isnan(rss)
+        count = int(use.sum())
+        return (
+            float(np.minimum(squares[use], 12.0).mean()) if count else 0.0
+        ), count  # one outlier is no misfit
+
+    def sources(self) -> list[SourceEstimate]:
+        """Candidates with at least one reception, by identity."""
+        estimates = []
+        for candidate in self.candidates:
+            summary = self.mixture.summary(candidate)
+            estimates.append(
+                SourceEstimate(
+                    ident=candidate.ident,
+                    east_m=float(summary.mean_m[0]),
+                    north_m=float(summary.mean_m[1]),
+                    cov_m2=summary.cov_m2,
+                    region_90=self._region_90(candidate),
+                    receptions=candidate.receptions,
+                    rate_hz=(RATE_SHAPE + candidate.receptions)
+                    / (self.mixture.rate_prior_s + summary.exposure_s),
+                    p_exists=1.0
+                    - float(np.prod([1.0 - min(share, 1.0 - 1e-9) for share in candidate.share.values()])),
+                    p_here=summary.p_here,
+                    state=candidate.state,  # type: ignore[arg-type]
+                    note=candidate.note,
+                    power_db=summary.power_db,
+                )
+            )
+        return estimates
+
+    def _cells_of(self, candidate: Candidate) -> tuple[NDArray[np.intp], FloatArray]:
+        """Flat cell indices and the posterior of each."""
+        place = candidate.posterior().sum(axis=0)
+        column = np.clip((candidate.points_m[:, 0] / self.grid.cell_m).astype(int), 0, self.grid.n_east - 1)
+        row = np.clip((candidate.points_m[:, 1] / self.grid.cell_m).astype(int), 0, self.grid.n_north - 1)
+        flat = row * self.grid.n_east + column
+        cells = np.unique(flat)
+        return cells, np.asarray(np.bincount(np.searchsorted(cells, flat), weights=place), dtype=float)
+
+    def region_90(self, candidate: Candidate) -> set[tuple[int, int]]:
+        """The cells of the smallest region that holds 90 % of the location posterior."""
+        cells, place = self._cells_of(candidate)
+        order = np.argsort(-place, kind="stable")
+        needed = int(np.searchsorted(np.cumsum(place[order]), 0.9)) + 1
+        return {(int(c) // self.grid.n_east, int(c) % self.grid.n_east) for c in cells[order[:needed]]}
+
+    def _region_90(self, candidate: Candidate) -> int:
+        return len(self.region_90(candidate))
+
+    def presence(self) -> FloatArray:
+        """(n_north, n_east) probability that the cell holds a source, heard or not."""
+        b = self.mixture.rate_prior_s
+        unseen = (self.settings.expected_sources / self.grid.n_cells) * (
+            b / (b + self.mixture.known_exposure_s().mean(axis=0))
+        )
+        log_absent = np.log1p(-np.minimum(unseen, 0.999)).ravel()
+        for candidate in self.candidates:
+            cells, place = self._cells_of(candidate)
+            log_absent[cells] += np.log1p(-np.minimum(place * min(1.0, candidate.receptions), 1.0 - 1e-9))
+        return (1.0 - np.exp(log_absent)).reshape(self.grid.shape)
+
+    def activity(self) -> FloatArray:
+        """(n_north, n_east), sums to 1: expected rate of transmissions by cell."""
+        rate = self.mixture.unknown_rate().ravel()
+        for candidate in self.candidates:
+            cells, place = self._cells_of(candidate)
+            hz = (RATE_SHAPE + candidate.receptions) / (
+                self.mixture.rate_prior_s + self.mixture.summary(candidate).exposure_s
+            )
+            rate[cells] += place * hz
+        return (rate / rate.sum()).reshape(self.grid.shape)
+
+    def probability_left(self) -> float:
+        """P(at least one source of the reference rate not found): unheard ground, and candidates not yet found."""
+        none_left = float(np.exp(-self.mixture.another_source().sum()))
+        for candidate in self.candidates:
+            if candidate.state != "found":
+                none_left *= 1.0 - min(1.0, candidate.receptions)
+            elif candidate.rival is not None:
+                none_left *= 1.0 - candidate.rival.probability
+        return float(1.0 - none_left)
+
+    # -- for planners ------------------------------------------------------------------------------------
+
+    def ground_value(self) -> FloatArray:
+        """(n_north, n_east) expected number of sources of the reference rate that are not among the candidates."""
+        return np.minimum(self.mixture.another_source().sum(axis=0), 0.5)
+
+    def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
+        """What is worth another look: candidates not found, finds that may be two sources or lie a cell off.
+
+        Each with samples of where and how strong it may be.
+        """
+        result = []
+        for candidate in self.candidates:
+            rival = candidate.rival if candidate.rival is not None and candidate.rival.undecided else None
+            summary = self.mixture.summary(candidate)
+            if candidate.state == "found" and rival is None and summary.p_here >= SETTLED:
+                continue
+            posterior = candidate.posterior()
+            picks = rng.choice(posterior.size, size=samples, p=posterior.ravel() / posterior.sum())
+            hypothesis, point = np.divmod(picks, posterior.shape[1])
+            level = np.where(hypothesis < self.model.power_db.size, hypothesis, self.model.n_known // 2)
+            places, cov = candidate.points_m[point].copy(), summary.cov_m2
+            if rival is not None:
+                two = round(samples * rival.probability)
+                places[:two] = rival.places_m[np.arange(two) % 2]
+                apart = rival.places_m[1] - rival.places_m[0]
+                cov = cov + rival.probability * np.outer(apart, apart) / 4.0
+            result.append(
+                Unresolved(
+                    candidate.ident,
+                    places,
+                    level.astype(float),
+                    cov,
+                    (RATE_SHAPE + candidate.receptions) / (self.mixture.rate_prior_s + summary.exposure_s),
+                    candidate.receptions,
+                    summary.p_here,
+                    candidate.state,
+                    rival is not None,
+                )
+            )
+        return result
+
+    def digest(self) -> bytes:
+        """SHA-256 over exposure and every candidate's cloud, evidence and shares."""
+        state = hashlib.sha256(self.exposure_s.tobytes())
+        for candidate in self.candidates:
+            rival = candidate.rival.probability if candidate.rival is not None else 0.0
+            state.update(f"{candidate.ident} {candidate.state} {candidate.absorbed!r} {rival!r}".encode())
+            state.update(candidate.points_m.tobytes())
+            state.update(candidate.evidence.tobytes())
+            state.update(repr(sorted(candidate.share.items())).encode())
+        return state.digest()

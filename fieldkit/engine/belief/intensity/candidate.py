@@ -1,0 +1,229 @@
+"""One possible source: its posterior over place and power, the detections that support it, its rate.
+
+The posterior lives on a cloud of points finer than the grid, jointly with the power hypothesis. The rate is
+integrated out: with prior Gamma(a, b) and exposure E, n receptions weigh (b + E)^-(a + n). Points that have
+become impossible are dropped, so a candidate that sharpens becomes cheap.
+"""
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from fieldkit.engine.belief.intensity import loops
+from fieldkit.messages import FloatArray
+
+RATE_SHAPE = 1.0
+"""a of the Gamma prior of a source's rate: its mean is the reference rate, its spread is as wide."""
+NEGLIGIBLE_NATS = 20.0
+FEWEST_POINTS = 12
+"""So many points are kept, however certain the place."""
+ACTIVE_NATS = 40.0
+"""A detection may lower an entry by this much and still have it count when it is left out."""
+
+
+def active_entries(log_posterior: FloatArray) -> NDArray[np.intp]:
+    """Flat indices of the entries of (h, n) that can count for anything."""
+    flat = log_posterior.ravel()
+    return np.flatnonzero(flat > flat.max() - ACTIVE_NATS)
+
+
+def log_sum(logs: FloatArray) -> float:
+    """log of the sum of exp(logs): scipy's does the same for arrays of any kind, at fifty times the overhead."""
+    best = float(logs.max())
+    return best + float(np.log(np.exp(logs - best).sum()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """The story that a candidate is two sources, while it cannot be told from that of one."""
+
+    probability: float
+    places_m: FloatArray
+    """(2, 2) where the two would be."""
+    undecided: bool
+    """Whether it is likely enough to go and see."""
+
+
+@dataclass
+class Candidate:
+    """Arrays over the cloud are (h, n): power hypothesis by point."""
+
+    ident: int
+    points_m: FloatArray
+    log_prior: FloatArray
+    """(h, n), sums (as probability) to the expected number of sources under the cloud."""
+    rate_prior_s: float
+    """b of the Gamma prior."""
+    exposure_s: FloatArray
+    """(h, n) P(heard) integrated over the time listened."""
+    spacing_m: float
+    """Between neighbouring points."""
+    evidence: FloatArray = field(init=False)
+    """(h, n) sum of share times log-likelihood."""
+    logs: dict[int, FloatArray] = field(default_factory=dict)
+    """Detection number to its log-likelihood over the cloud, for all detections that may be this source's."""
+    address: dict[int, int] = field(default_factory=dict)
+    """Where those begin in memory."""
+    share: dict[int, float] = field(default_factory=dict)
+    """Detection number to the probability that this source sent it."""
+    absorbed: float = 0.0
+    """Receptions whose likelihoods have been folded into the evidence for good."""
+    certain_since: float | None = None
+    """Receptions when its place first became certain enough, since it last was not."""
+    rival: Rival | None = None
+    state: str = "candidate"
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        self.evidence = np.zeros_like(self.log_prior)
+        self._receptions: float | None = None
+        self.expose(self.exposure_s)
+
+    def copy(self) -> "Candidate":
+        """Another that shares the arrays but claims for itself."""
+        other = copy.copy(self)
+        other.logs, other.address, other.share = dict(self.logs), dict(self.address), dict(self.share)
+        other.evidence = self.evidence.copy()
+        return other
+
+    @property
+    def receptions(self) -> float:
+        """Expected number of receptions it has sent."""
+        if self._receptions is None:
+            # Python's own sum rounds differently from 3.12 on; a replay must not.
+            self._receptions = self.absorbed + math.fsum(self.share.values())
+        return self._receptions
+
+    def log_posterior(self) -> FloatArray:
+        """(h, n), not normalised."""
+        return self.log_prior + self.evidence - (RATE_SHAPE + self.receptions) * self.log_exposure
+
+    def expose(self, exposure_s: FloatArray) -> None:
+        """Bring the exposure (h, n) up to date."""
+        self.exposure_s = exposure_s
+        self.log_exposure = np.log(self.rate_prior_s + exposure_s)
+
+    def posterior(self) -> FloatArray:
+        """(h, n), sums to 1."""
+        log = self.log_posterior()
+        weights = np.exp(log - log.max())
+        return np.asarray(weights / weights.sum())
+
+    def log_evidence(self) -> float:
+        """log of the expected number of such sources times the probability of all they sent: for comparing stories."""
+        n = self.receptions
+        rate = RATE_SHAPE * np.log(self.rate_prior_s) + gammaln(RATE_SHAPE + n) - gammaln(RATE_SHAPE)
+        return log_sum(self.log_posterior()) + float(rate)
+
+    def know(self, number: int, log_likelihood: FloatArray) -> None:
+        """Have a detection at hand that this source may have sent; its share is 0 until claimed."""
+        self.logs[number] = np.ascontiguousarray(log_likelihood)
+        self.address[number] = loops.address(self.logs[number])
+        self.share.setdefault(number, 0.0)
+
+    def set_share(self, number: int, share: float) -> None:
+        """Claim a detection with this probability."""
+        self.evidence += (share - self.share[number]) * self.logs[number]
+        self.share[number] = share
+        self._receptions = None
+
+    def set_shares(self, numbers: Sequence[int], shares: Sequence[float]) -> None:
+        """Claim each of several detections with its probability, at once."""
+        loops.add_rows(
+            np.array([self.address[number] for number in numbers], dtype=np.int64),
+            np.array([share - self.share[number] for number, share in zip(numbers, shares, strict=True)]),
+            self.evidence.reshape(-1),
+        )
+        self.share.update(zip(numbers, shares, strict=True))
+        self._receptions = None
+
+    def mean_exposure_s(self, posterior: FloatArray) -> float:
+        return float((posterior * self.exposure_s).sum())
+
+    def prune(self) -> None:
+        """Drop points that are impossible under every power."""
+        log = self.log_posterior()
+        best = log.max(axis=0)
+        keep = best > best.max() - NEGLIGIBLE_NATS
+        if keep.sum() < FEWEST_POINTS < keep.size:
+            keep[np.argpartition(best, -FEWEST_POINTS)[-FEWEST_POINTS:]] = True
+        if keep.sum() > 0.8 * keep.size:
+            return
+        self.points_m = np.ascontiguousarray(self.points_m[keep])
+        self.log_prior = np.ascontiguousarray(self.log_prior[:, keep])
+        self.expose(np.ascontiguousarray(self.exposure_s[:, keep]))
+        self.evidence = np.ascontiguousarray(self.evidence[:, keep])
+        for number, log in self.logs.items():
+            self.logs[number] = np.ascontiguousarray(log[:, keep])
+            self.address[number] = loops.address(self.logs[number])
+
+    def forget(self, number: int) -> None:
+        """Fold a detection into the evidence for good: its share is final."""
+        if number in self.logs:
+            self.absorbed += self.share.pop(number)
+            del self.logs[number], self.address[number]
+            self._receptions = None
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """A candidate's posterior in a few numbers."""
+
+    mean_m: FloatArray
+    cov_m2: FloatArray
+    p_here: float
+    power_db: float
+    p_outside: float
+    exposure_s: float
+
+
+def summarise(
+    candidate: Candidate, posterior: FloatArray, power_db: FloatArray, outside: FloatArray, cell_m: float
+) -> Summary:
+    """Mean place, covariance, and the probability of being within one cell of the mean.
+
+    `power_db` (h - 1,) of the fixed hypotheses; the varying one counts as their known mean.
+    """
+    place = posterior.sum(axis=0)
+    mean = place @ candidate.points_m
+    offset = candidate.points_m - mean
+    cov = (offset * place[:, None]).T @ offset
+    here = (np.abs(offset) <= cell_m).all(axis=1)
+    by_power = posterior.sum(axis=1)
+    fixed = by_power[:-1]
+    power = float(fixed @ power_db / max(fixed.sum(), 1e-12))
+    return Summary(
+        mean,
+        cov,
+        float(place[here].sum()),
+        power,
+        float(by_power[outside].sum()),
+        candidate.mean_exposure_s(posterior),
+    )
+
+
+def merged_gain(first: Candidate, second: Candidate) -> float:
+    """log evidence of `first` having sent all that both sent, over two sources having sent it.
+
+    Where shares are divided, the two-source story is credited with their entropy (the variational bound).
+
+    -inf where `first` has not got the other's detections at hand.
+    """
+    claimed = {number: share for number, share in second.share.items() if share > 0.02}
+    if any(number not in first.logs for number in claimed) or second.absorbed > 0.0:
+        return -np.inf
+    apart = first.log_evidence() + second.log_evidence()
+    for number, share in claimed.items():
+        both = np.array([share, first.share[number]])
+        parts = both / both.sum()
+        apart -= float(both.sum() * (parts * np.log(np.maximum(parts, 1e-12))).sum())
+    both_sent = first.copy()
+    both_sent.set_shares(
+        list(claimed), [min(1.0, first.share[number] + share) for number, share in claimed.items()]
+    )
+    return both_sent.log_evidence() - apart

@@ -1,0 +1,214 @@
+"""Telling the story of a candidate afresh, as one source and as two, and keeping the story with more evidence.
+
+Points dropped early and shares that vouch for each other can hold a candidate in a wrong place, or hold two near
+sources together: sweeps alone do not get out of that.
+"""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldkit.engine.belief.intensity import loops
+from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Rival
+from fieldkit.engine.belief.intensity.responsibilities import entries_that_count, known_shares, take_over
+from fieldkit.messages import FloatArray
+
+if TYPE_CHECKING:
+    from fieldkit.engine.belief.intensity.mixture import Mixture
+
+FIRST = 5.0
+"""Receptions at which a candidate's story is first told afresh; then at every 1.4 times as many."""
+UNDECIDED_NATS = -3.0
+"""Evidence of the best story of two over that of one from which on somebody has to go and see."""
+CLEAR_NATS = -10.0
+"""The same from which on it need not be looked at again until there are twice as many receptions."""
+PLACE_ROUNDS = 6
+"""Turns in which one of two places is chosen anew given the other."""
+TOLD_DETECTIONS = 30
+"""Of more than so many detections only every second is told, or every third, and so on."""
+TOLD_CELLS = 12
+"""No source is sought further than this from where a candidate is."""
+BETTER_NATS = 1.0
+"""Evidence by which another story must be better."""
+
+
+def revise(mixture: "Mixture") -> bool | None:
+    """Tell the story of a candidate afresh, as one source and as two; whether another story was better.
+
+    One candidate a call, None where no story is due. Points dropped early and shares that vouch for each other can
+    hold a candidate in a wrong place, or hold two near sources together. A doubtful candidate is looked at again soon,
+    others ever more rarely. One and two are compared on a point a cell; the better story is then told on the usual
+    points.
+    """
+    for candidate in mixture.candidates:
+        due = mixture.revise_at.setdefault(candidate.ident, FIRST)
+        if candidate.receptions >= due and candidate.absorbed == 0.0:
+            return _revise(mixture, candidate)
+    return None
+
+
+def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
+    count, doubtful = candidate.receptions, candidate.state == "doubtful"
+    share = _told(candidate)
+    blank = _fresh(mixture, candidate, share, spacing=1.0)
+    single = blank.copy()
+    single.set_shares(list(share), list(share.values()))
+    pairs = _two(mixture, blank, share)
+    scores = [_score(pair, share) for pair in pairs]
+    odds_nats = max(scores, default=-np.inf) - _score([single], share)
+    undecided = odds_nats > UNDECIDED_NATS
+    candidate.rival = None
+    if pairs:
+        places = np.array([_mean(part) for part in pairs[int(np.argmax(scores))]])
+        candidate.rival = Rival(float(1.0 / (1.0 + np.exp(-odds_nats))), places, undecided)
+    mixture.revise_at[candidate.ident] = _next_look(count, odds_nats, doubtful)
+    if odds_nats > BETTER_NATS:
+        parts = [_retold(mixture, candidate, part.share) for part in pairs[int(np.argmax(scores))]]
+    else:
+        moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.grid.cell_m
+        if not (moved or doubtful):
+            return False
+        parts = [_retold(mixture, candidate, share)]
+        if _score(parts, share) < _score([candidate], share) + BETTER_NATS:
+            return False
+    mixture.remove(candidate)
+    parts[0].ident = candidate.ident
+    parts[0].state = candidate.state
+    mixture.candidates += parts
+    for retold in parts:
+        _know_all(mixture, retold)
+    return True
+
+
+def _next_look(count: float, odds_nats: float, doubtful: bool) -> float:
+    """Receptions at which to look again: soon where two are as likely as one, late where they are not at all."""
+    if odds_nats > UNDECIDED_NATS:
+        return count + 1.9
+    if doubtful:
+        return max(count + 0.9, 1.1 * count)
+    if odds_nats >= CLEAR_NATS:
+        return 1.4 * count
+    return (4.0 if count > TOLD_DETECTIONS else 2.0) * count
+
+
+def _told(candidate: Candidate) -> dict[int, float]:
+    """The detections of which a story is told, with their shares: of very many some, evenly over time."""
+    claimed = [(number, share) for number, share in candidate.share.items() if share > 0.05]
+    return dict(claimed[:: -(-len(claimed) // TOLD_DETECTIONS) or 1])
+
+
+def _mean(candidate: Candidate) -> FloatArray:
+    return np.asarray(candidate.posterior().sum(axis=0) @ candidate.points_m)
+
+
+def _know_all(mixture: "Mixture", candidate: Candidate) -> None:
+    for number, other in mixture.open.items():
+        if number not in candidate.logs and mixture.in_reach(candidate, other):
+            candidate.know(number, mixture.model.log_likelihood(other.detection, candidate.points_m))
+
+
+def _fresh(
+    mixture: "Mixture", candidate: Candidate, share: dict[int, float], *, spacing: float | None = None
+) -> Candidate:
+    """An empty candidate whose cloud covers wherever the given detections may have come from."""
+    centre = mixture.summary(candidate).mean_m
+    half = min(0.75 * mixture.model.reach_m, TOLD_CELLS * mixture.grid.cell_m)
+    row0, row1, column0, column1 = mixture.grid.box_around(centre[None, :], half)
+    fresh = mixture.new_candidate((column0, column1), (row0, row1), spacing=spacing)
+    for number in share:
+        fresh.know(number, mixture.model.log_likelihood(mixture.open[number].detection, fresh.points_m))
+    return fresh
+
+
+def _retold(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> Candidate:
+    """A new candidate, on the usual points, that claims these shares."""
+    claimed = {number: part for number, part in share.items() if part > 0.0}
+    fresh = _fresh(mixture, candidate, claimed, spacing=1.0)
+    fresh.set_shares(list(claimed), list(claimed.values()))
+    fresh.prune()
+    return fresh
+
+
+def _two(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> list[list[Candidate]]:
+    """Two sources, from first guesses that divide the detections across the line they spread on most."""
+    alone = []
+    for log in blank.logs.values():
+        weight = np.exp(mixture.model.marginal(log))
+        alone.append((weight / weight.sum()) @ blank.points_m)
+    spread = np.array(alone) - np.mean(alone, axis=0)
+    axis = np.linalg.svd(spread, full_matrices=False)[2][0]
+    stories = []
+    for turn_rad in (0.0, np.pi / 3, -np.pi / 3):
+        cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+        along = spread @ np.array([cos * axis[0] - sin * axis[1], sin * axis[0] + cos * axis[1]])
+        order = np.argsort(np.argsort(along, kind="stable"), kind="stable")
+        stories.append(_divide(mixture, blank, share, order * 2 < len(share)))
+    stories.append(_divide(mixture, blank, share, _best_two_places(mixture, blank, share)))
+    return [pair for pair in stories if min(part.receptions for part in pair) >= 1.0]
+
+
+def _best_two_places(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> NDArray[np.bool_]:
+    """(detections,) whether each was rather sent from the first of the two places and powers that explain all best.
+
+    Two sources a cell or two apart are no line that detections spread on: what tells them apart is how strong each
+    transmission was. Coordinate ascent over all places and known powers, from the best single one.
+    """
+    known = mixture.model.n_known
+    logs = np.array([blank.logs[number][:known].ravel() for number in share])
+    weight = np.array(list(share.values()))
+    like = np.exp(logs - logs.max(axis=1, keepdims=True)) + 1e-12
+    first = second = int(np.argmax(weight @ np.log(like)))
+    for _ in range(PLACE_ROUNDS):
+        first, second = second, int(np.argmax(weight @ np.log(like + like[:, second, None])))
+    return np.asarray(logs[:, first] > logs[:, second])
+
+
+def _divide(
+    mixture: "Mixture", blank: Candidate, share: dict[int, float], lean: NDArray[np.bool_]
+) -> list[Candidate]:
+    """Two candidates that settle between them who sent what, from a first guess."""
+    pair = [blank.copy(), blank.copy()]
+    numbers, whole = list(share), np.array(list(share.values()))
+    first = np.where(lean, 0.9, 0.1) * whole
+    pair[0].set_shares(numbers, first.tolist())
+    pair[1].set_shares(numbers, (whole - first).tolist())
+    nobody = np.full(whole.size, -1e300)
+    for _ in range(8):
+        for part in pair:
+            part.prune()
+        rows, parts = known_shares(pair, numbers)
+        active, start, post, log_exposure = entries_that_count(pair)
+        before = parts.copy()
+        loops.share_out(
+            rows,
+            parts,
+            whole,
+            active,
+            start,
+            post,
+            log_exposure,
+            np.array([part.receptions for part in pair]),
+            np.array([part.mean_exposure_s(part.posterior()) for part in pair]),
+            RATE_SHAPE,
+            mixture.rate_prior_s,
+            nobody,
+            nobody,
+            False,
+            np.empty(whole.size),
+            np.empty(whole.size),
+        )
+        take_over(pair, numbers, before, parts)
+        if np.abs(parts - before).sum() < 0.05:
+            break
+    return pair
+
+
+def _score(story: list[Candidate], share: dict[int, float]) -> float:
+    """Lower bound of the log evidence of a story that shares out the same detections."""
+    total = math.fsum(candidate.log_evidence() for candidate in story)
+    for number, part in share.items():
+        parts = np.array([candidate.share.get(number, 0.0) for candidate in story]) / part
+        total -= part * float((parts * np.log(np.maximum(parts, 1e-12))).sum())
+    return total

@@ -1,0 +1,247 @@
+"""The compiled loops of the default belief. Each has a plain numpy twin in the tests.
+
+They take many arrays of unlike sizes at once, by address: log-likelihoods of detections over the clouds of candidates,
+or over the cells near where they were heard.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import carray, njit, types
+from numba.extending import intrinsic
+
+from fieldkit.messages import FloatArray, IntArray
+
+UNCLAIMED = 1e-6
+"""A share so small leaves what the others say of a candidate as it is."""
+NEGLIGIBLE = -25.0
+"""Entries so many nats under the best one count for nothing."""
+_WHOLE = np.exp(-np.arange(746.0))
+_PARTS = np.exp(-np.arange(256.0) / 256.0)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _exp(x: float) -> float:
+    """exp(x), right to 1e-11, for x up to 0: two tables and a series, at a third of the library's time."""
+    y = -x
+    if y >= 745.0:
+        return 0.0
+    if y < 0.0:
+        return math.exp(x)
+    whole = int(y)
+    fine = (y - whole) * 256.0
+    part = int(fine)
+    r = (fine - part) / 256.0
+    return _WHOLE[whole] * _PARTS[part] * (1.0 - r * (1.0 - r * (0.5 - r / 6.0)))
+
+
+def address(array: FloatArray) -> int:
+    """Where a C-contiguous array begins in memory: for kernels that take many arrays of unlike sizes at once.
+
+    Good for one call, while the array is held: ask again for the next.
+    """
+    return int(array.__array_interface__["data"][0])
+
+
+def _pointer_of(typing_context: Any, address: Any) -> Any:
+    """An address as a pointer to float64, for `carray`."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+
+    return types.CPointer(types.float64)(address), generate
+
+
+_as_pointer: Any = intrinsic(_pointer_of)
+
+
+@njit(cache=True, nogil=True)
+def add_rows(rows: IntArray, factor: FloatArray, out: FloatArray) -> None:
+    """out (n,) plus the sum over k of factor[k] times the n float64 at address rows[k]."""
+    for k in range(rows.shape[0]):
+        row = carray(_as_pointer(rows[k]), (out.shape[0],))
+        for i in range(out.shape[0]):
+            out[i] += factor[k] * row[i]
+
+
+@njit(cache=True, nogil=True)
+def share_out(
+    rows: IntArray,
+    share: FloatArray,
+    whole: FloatArray,
+    active: IntArray,
+    start: IntArray,
+    post: FloatArray,
+    log_exposure: FloatArray,
+    receptions: FloatArray,
+    mean_exposure: FloatArray,
+    rate_shape: float,
+    rate_prior: float,
+    log_unknown: FloatArray,
+    log_clutter: FloatArray,
+    skip_settled: bool,
+    unclaimed: FloatArray,
+    explained: FloatArray,
+) -> None:
+    """Share each detection out among the candidates that know it, the unknown and clutter, one after another.
+
+    `rows` (k, c) is the address of candidate c's log-likelihoods of detection k (float64, over its entries), or 0;
+    `share` (k, c), `post`, `receptions` (c,), `unclaimed` and `explained` (k,) are brought up to date; `whole` (k,)
+    is what there is to share out. `active` lists the entries of candidate c that count, from `start[c]`; `post` and
+    `log_exposure` stand beside it.
+
+    What a candidate predicts leaves the detection itself out: its posterior without its share of it.
+    """
+    k_all, c_all = rows.shape
+    terms = np.empty(c_all + 2)
+    weights = np.empty(post.shape[0])  # of a candidate's entries, by all it claims
+    summed = np.empty(c_all)
+    stale = np.ones(c_all, dtype=np.bool_)
+    for k in range(k_all):
+        near = 0
+        settled = False
+        for c in range(c_all):
+            if rows[k, c] != 0:
+                near += 1
+                settled = settled or share[k, c] > 0.999
+        if near == 0:
+            unclaimed[k] = 1.0
+            explained[k] = log_clutter[k]
+            continue
+        if settled and skip_settled:
+            continue
+        terms[0] = log_unknown[k]
+        terms[1] = log_clutter[k]
+        top = max(terms[0], terms[1])
+        top_known = terms[1]
+        for c in range(c_all):
+            if rows[k, c] == 0:
+                continue
+            log_like = carray(_as_pointer(rows[k, c]), (active[start[c + 1] - 1] + 1,))
+            weight = share[k, c]
+            total = 0.0
+            total_with = 0.0
+            if weight < UNCLAIMED:
+                if stale[c]:
+                    stale[c] = False
+                    summed[c] = 0.0
+                    best = -1e300
+                    for a in range(start[c], start[c + 1]):
+                        best = max(best, post[a])
+                    for a in range(start[c], start[c + 1]):
+                        rest = post[a] - best
+                        weights[a] = _exp(rest) if rest > NEGLIGIBLE else 0.0
+                        summed[c] += weights[a]
+                total = summed[c]
+                for a in range(start[c], start[c + 1]):
+                    if weights[a] > 0.0:
+                        total_with += weights[a] * _exp(log_like[active[a]])
+            else:
+                best = -1e300
+                for a in range(start[c], start[c + 1]):
+                    rest = post[a] - weight * log_like[active[a]]
+                    if rest > best:
+                        best = rest
+                for a in range(start[c], start[c + 1]):
+                    like = log_like[active[a]]
+                    rest = post[a] - weight * like - best
+                    if rest > NEGLIGIBLE:
+                        p = _exp(rest)
+                        total += p
+                        total_with += p * _exp(like)
+            rate = (rate_shape + max(0.0, receptions[c] - weight)) / (rate_prior + mean_exposure[c])
+            terms[c + 2] = math.log(rate) + math.log(max(total_with, 1e-300)) - math.log(total)
+            top = max(top, terms[c + 2])
+            top_known = max(top_known, terms[c + 2])
+        all_ways = math.exp(terms[0] - top) + math.exp(terms[1] - top)
+        known_ways = math.exp(terms[1] - top_known)
+        for c in range(c_all):
+            if rows[k, c] != 0:
+                all_ways += math.exp(terms[c + 2] - top)
+                known_ways += math.exp(terms[c + 2] - top_known)
+        unclaimed[k] = math.exp(terms[0] - top) / all_ways
+        explained[k] = top_known + math.log(known_ways)
+        for c in range(c_all):
+            if rows[k, c] == 0:
+                continue
+            new = whole[k] * math.exp(terms[c + 2] - top) / all_ways
+            change = new - share[k, c]
+            share[k, c] = new
+            receptions[c] += change
+            if abs(change) > 1e-12:
+                stale[c] = True
+                log_like = carray(_as_pointer(rows[k, c]), (active[start[c + 1] - 1] + 1,))
+                for a in range(start[c], start[c + 1]):
+                    post[a] += change * (log_like[active[a]] - log_exposure[a])
+
+
+@njit(cache=True, nogil=True)
+def log_expected(rows: IntArray, box: IntArray, rate: FloatArray, out: FloatArray) -> None:
+    """out (k,): log of the sum over the cells of a box of `rate` (n_north, n_east) times a detection's likelihood.
+
+    The likelihood stands at address rows[k], over the cells of box[k] (row0, row1, column0, column1) row by row.
+    """
+    for k in range(rows.shape[0]):
+        like = carray(_as_pointer(rows[k]), ((box[k, 1] - box[k, 0]) * (box[k, 3] - box[k, 2]),))
+        total = 0.0
+        at = 0
+        for r in range(box[k, 0], box[k, 1]):
+            for c in range(box[k, 2], box[k, 3]):
+                total += rate[r, c] * like[at]
+                at += 1
+        out[k] = math.log(total + 1e-300)
+
+
+@njit(cache=True, nogil=True)
+def another_source_llr(
+    rows: IntArray,
+    box: IntArray,
+    factor: FloatArray,
+    exposure: FloatArray,
+    rate: float,
+    out: FloatArray,
+) -> None:
+    """out (levels, n_north, n_east): log likelihood ratio of one more source of that power in the cell, over none.
+
+    -rate * exposure + sum over detections of log(1 + factor * L), the Poisson process likelihood ratio, where
+    `factor` (k,) is the rate over the intensity that already explains detection k. Its L, at most 1, stands at the
+    address `rows[k]`: (levels, cells of its box (row0, row1, column0, column1) row by row), float64.
+    """
+    levels, n_north, n_east = exposure.shape
+    # Factors are multiplied up and their logarithm taken now and then, before they can overflow.
+    product = np.empty((n_north, n_east))
+    for h in range(levels):
+        for r in range(n_north):
+            for c in range(n_east):
+                out[h, r, c] = -rate * exposure[h, r, c]
+                product[r, c] = 1.0
+        size = 0.0
+        for k in range(rows.shape[0]):
+            if factor[k] < 1e-9:  # at most 1e-9 nats a detection
+                continue
+            size += math.log1p(factor[k])
+            if size > 600.0:
+                _take_log(product, out[h])
+                size = math.log1p(factor[k])
+            width = box[k, 3] - box[k, 2]
+            cells = (box[k, 1] - box[k, 0]) * width
+            like = carray(_as_pointer(rows[k]), (levels * cells,))
+            at = h * cells
+            for r in range(box[k, 0], box[k, 1]):
+                near = product[r, box[k, 2] : box[k, 3]]
+                its = like[at : at + width]
+                for c in range(width):
+                    near[c] *= 1.0 + factor[k] * its[c]
+                at += width
+        _take_log(product, out[h])
+
+
+@njit(cache=True, nogil=True)
+def _take_log(product: FloatArray, out: FloatArray) -> None:
+    """Add the logarithm of `product` to `out`, both (rows, columns), and begin anew."""
+    for r in range(product.shape[0]):
+        for c in range(product.shape[1]):
+            if product[r, c] != 1.0:
+                out[r, c] += math.log(product[r, c])
+                product[r, c] = 1.0

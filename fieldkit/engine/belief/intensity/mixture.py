@@ -1,0 +1,388 @@
+"""The mixture under the default belief: who sent what, among the candidates, one not yet known, and clutter.
+
+Shares are set by what the *other* detections of a candidate predict (collapsed variational mixture, zeroth order),
+so that a reading does not vouch for itself. One more candidate is born where one more source would explain the
+detections better than those there are; two become one where one explains better what both sent; one that nothing
+supports any more is dropped. `stories` re-tells the history of a candidate that may be stuck.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldkit.engine.belief.intensity import hypotheses as stories
+from fieldkit.engine.belief.intensity import loops
+from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Summary, merged_gain, summarise
+from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
+from fieldkit.engine.likelihood import levels_loops
+from fieldkit.engine.likelihood.levels import LevelsModel
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import Detection, FloatArray, Listening
+
+MAX_OPEN = 300
+"""Detections kept open for re-attribution; older ones are folded into their sources."""
+CLUTTER_HZ = 2e-4
+"""Rate of detections that come from no source: noise, other bands, reflections."""
+FINE = 0.5
+"""Spacing of a candidate's points, in cells."""
+REFINE_POINTS = 300
+"""A candidate on one point a cell is told on the finer points once no more than these are left."""
+SWEEPS = 3
+BIRTH_ODDS = 1.5
+"""Expected number of further sources that speak for themselves at which one is given a candidate."""
+DEATH_RECEPTIONS = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenDetection:
+    """A stored detection: its likelihood over the cells near it, scaled to a maximum of 1."""
+
+    detection: Detection
+    box: tuple[int, int, int, int]
+    like: FloatArray
+    """(known levels, cells of the box, row by row)"""
+    mean_like: FloatArray
+    """(rows, columns) of the box: the same averaged over the levels."""
+    log_scale: float
+    log_clutter: float
+    """log intensity with which noise explains it: any strength within 80 dB."""
+    near_m: FloatArray
+    """(k, 2) where it was heard."""
+    rss_dbm: FloatArray
+    """(k,) how strongly; nan where at the receiver's ceiling."""
+    address: int
+    mean_address: int
+    """Where `like` and `mean_like` begin in memory."""
+
+
+class Mixture:
+    """Candidates, open detections and exposure. Deterministic: same calls, same bits."""
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self.settings = settings
+        self.grid = settings.grid
+        self.model = LevelsModel(
+            settings.antenna,
+            settings.power_levels_db,
+            float(np.hypot(settings.pose_sigma_m, FINE * settings.grid.cell_m / np.sqrt(12.0))),
+        )
+        self.exposure_s = np.zeros((self.model.power_db.size, *self.grid.shape))
+        """(h - 1, n_north, n_east): P(some robot hears) integrated over the time listened, for each fixed power."""
+        self.rate_prior_s = RATE_SHAPE / settings.reference_rate_hz
+        """b of the Gamma prior of a source's rate."""
+        self.candidates: list[Candidate] = []
+        self.open: dict[int, OpenDetection] = {}
+        self.unclaimed: dict[int, float] = {}
+        """Detection to the probability that a source not yet known sent it."""
+        self.explained: dict[int, float] = {}
+        """Detection to the log of the intensity with which clutter and the candidates explain it."""
+        self.revise_at: dict[int, float] = {}
+        """Candidate to the receptions at which its story is next told afresh."""
+        self._next_detection = 0
+        self._next_ident = 1
+        self._summaries: dict[int, Summary] = {}
+
+    def listen(self, listening: Listening) -> None:
+        """Add to the exposure of the ground where robots listened."""
+        levels_loops.add_exposure(
+            self.exposure_s,
+            self.grid.cell_m,
+            listening.position_m,
+            self.model.hear,
+            self.model.step2_m2,
+            self.model.limit2_m2,
+            listening.duration_s,
+        )
+
+    def detect(self, detections: Sequence[Detection]) -> None:
+        """Take in transmissions: attribute them, and look again at the attribution of the others near them."""
+        for detection in detections:
+            self._open(detection)
+        for candidate in self.candidates:
+            candidate.expose(self.exposure_at(candidate.points_m))
+        self.sweep(SWEEPS)
+        for _ in range(1 + len(detections)):
+            if not self._birth():
+                break
+            self.sweep(SWEEPS)
+        self._settle()
+        self._fold()
+
+    def reflect(self) -> bool | None:
+        """Tell the story of one candidate afresh; whether another was better, None where none was due."""
+        better = stories.revise(self)
+        if better:
+            self.sweep(SWEEPS)
+            self._settle()
+        return better
+
+    def _open(self, detection: Detection) -> None:
+        number = self._next_detection
+        self._next_detection += 1
+        stored = self._store(detection)
+        self.open[number] = stored
+        self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
+        for candidate in self.candidates:
+            if self.in_reach(candidate, stored):
+                candidate.know(number, self.model.log_likelihood(detection, candidate.points_m))
+
+    def next_ident(self) -> int:
+        """An identity no candidate has had."""
+        self._next_ident += 1
+        return self._next_ident - 1
+
+    def _settle(self) -> None:
+        if self._merge():
+            self.sweep(1)
+        self._bury()
+
+    def _store(self, detection: Detection) -> OpenDetection:
+        heard_at = detection.position_m[detection.heard]
+        row0, row1, column0, column1 = self.grid.box_around(heard_at, self.model.reach_m)
+        east, north = self.grid.east_m[column0:column1], self.grid.north_m[row0:row1]
+        points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
+        log = self.model.known_log_likelihood(detection, points)
+        scale = float(log.max())
+        like = np.exp(log - scale)
+        clutter = float(np.log(CLUTTER_HZ) - len(heard_at) * np.log(80.0))
+        mean = like.mean(axis=0).reshape(north.size, east.size)
+        return OpenDetection(
+            detection,
+            (row0, row1, column0, column1),
+            like,
+            mean,
+            scale,
+            clutter,
+            heard_at,
+            np.where(detection.saturated, np.nan, detection.rss_dbm)[detection.heard],
+            loops.address(like),
+            loops.address(mean),
+        )
+
+    def in_reach(self, candidate: Candidate, stored: OpenDetection) -> bool:
+        """Whether the candidate may have been what was heard, by distance alone."""
+        low, high = candidate.points_m.min(axis=0), candidate.points_m.max(axis=0)
+        gap = np.maximum(low - stored.near_m, 0.0) + np.maximum(stored.near_m - high, 0.0)
+        return bool((np.hypot(gap[:, 0], gap[:, 1]) <= self.model.reach_m).all())
+
+    def exposure_at(self, points_m: FloatArray) -> FloatArray:
+        """(h, n); the varying hypothesis takes the mean of the known levels."""
+        column = np.clip((points_m[:, 0] / self.grid.cell_m).astype(int), 0, self.grid.n_east - 1)
+        row = np.clip((points_m[:, 1] / self.grid.cell_m).astype(int), 0, self.grid.n_north - 1)
+        fixed = self.exposure_s[:, row, column]
+        return np.concatenate([fixed, fixed[: self.model.n_known].mean(axis=0)[None, :]])
+
+    def known_exposure_s(self) -> FloatArray:
+        """(known levels, n_north, n_east)"""
+        return self.exposure_s[: self.model.n_known]
+
+    def unknown_rate(self) -> FloatArray:
+        """(n_north, n_east) expected transmissions per second and cell from sources not yet known."""
+        exposure = self.known_exposure_s().mean(axis=0)
+        here = self.settings.expected_sources / self.grid.n_cells
+        b = self.rate_prior_s
+        return here * (b / (b + exposure)) ** RATE_SHAPE * RATE_SHAPE / (b + exposure)
+
+    def _log_unknown(self) -> FloatArray:
+        """(open detections,) log intensity with which sources not yet known explain each."""
+        stored = self.open.values()
+        logs = np.empty(len(stored))
+        loops.log_expected(
+            np.array([s.mean_address for s in stored], dtype=np.int64),
+            np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
+            self.unknown_rate(),
+            logs,
+        )
+        return logs + np.array([s.log_scale for s in stored])
+
+    def sweep(self, sweeps: int) -> None:
+        """Shares of all open detections, from the predictions of the candidates and of the unknown.
+
+        All but the last sweep look only at detections still in doubt or new.
+        """
+        numbers = list(self.open)
+        log_unknown = self._log_unknown()
+        log_clutter = np.array([stored.log_clutter for stored in self.open.values()])
+        left = Shares(
+            np.array([self.unclaimed[number] for number in numbers]),
+            np.array([self.explained[number] for number in numbers]),
+        )
+
+        def mean_exposure_s() -> FloatArray:
+            seen = np.array([self.summary(candidate).exposure_s for candidate in self.candidates])
+            self._summaries.clear()
+            return seen
+
+        share_out(
+            self.candidates,
+            numbers,
+            log_unknown,
+            log_clutter,
+            mean_exposure_s,
+            self.rate_prior_s,
+            left,
+            passes=sweeps,
+        )
+        self.unclaimed = dict(zip(numbers, left.unclaimed.tolist(), strict=True))
+        self.explained = dict(zip(numbers, left.explained.tolist(), strict=True))
+        for candidate in self.candidates:
+            candidate.prune()
+            coarse = candidate.spacing_m > 1.01 * FINE * self.grid.cell_m
+            if coarse and candidate.points_m.shape[0] <= REFINE_POINTS:
+                self._refine(candidate)
+                self._summaries.pop(candidate.ident, None)
+
+    def summary(self, candidate: Candidate) -> Summary:
+        """The candidate's posterior in a few numbers, kept until it changes."""
+        if candidate.ident not in self._summaries:
+            self._summaries[candidate.ident] = summarise(
+                candidate, candidate.posterior(), self.model.power_db, self.model.outside, self.grid.cell_m
+            )
+        return self._summaries[candidate.ident]
+
+    def another_source(self) -> FloatArray:
+        """(known levels, n_north, n_east) expected number of sources of the reference rate not among the candidates.
+
+        Prior times likelihood ratio: silence lowers it, detections that the candidates explain badly raise it. So
+        it covers unsearched ground, unclaimed detections, and sources that hide behind a found neighbour.
+        """
+        ratio = np.empty((self.model.n_known, *self.grid.shape))
+        stored = self.open.values()
+        scale = np.array([s.log_scale for s in stored]) - np.array([self.explained[k] for k in self.open])
+        loops.another_source_llr(
+            np.array([s.address for s in stored], dtype=np.int64),
+            np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
+            self.settings.reference_rate_hz * np.exp(scale),
+            self.known_exposure_s(),
+            self.settings.reference_rate_hz,
+            ratio,
+        )
+        prior = self.settings.expected_sources / self.grid.n_cells / self.model.n_known
+        return np.asarray(prior * np.exp(np.minimum(ratio, 50.0)))
+
+    def _birth(self) -> bool:
+        """A candidate where one more source explains what was heard better than none; whether there was one."""
+        expected = self.another_source()
+        prior = self.settings.expected_sources / self.grid.n_cells / self.model.n_known
+        telling = np.where(expected > prior, expected, 0.0)
+        if telling.sum() < BIRTH_ODDS:
+            return False
+        place = telling.sum(axis=0)
+        row, column = np.unravel_index(int(np.argmax(place)), place.shape)
+        level = int(np.argmax(expected[:, row, column]))
+        near = place > 1e-4 * place.max()
+        reach = int(np.ceil(self.model.reach_m / self.grid.cell_m))
+        south, west = max(0, int(row) - reach), max(0, int(column) - reach)
+        rows = np.nonzero(near[south : int(row) + reach + 1].any(axis=1))[0] + south
+        columns = np.nonzero(near[:, west : int(column) + reach + 1].any(axis=0))[0] + west
+        candidate = self.new_candidate(
+            (int(columns.min()), int(columns.max()) + 1), (int(rows.min()), int(rows.max()) + 1), spacing=1.0
+        )
+        rate = self.settings.reference_rate_hz
+        for number, stored in self.open.items():
+            if not self.in_reach(candidate, stored):
+                continue
+            candidate.know(number, self.model.log_likelihood(stored.detection, candidate.points_m))
+            row0, row1, column0, column1 = stored.box
+            if row0 <= row < row1 and column0 <= column < column1:
+                like = stored.like[level, (row - row0) * (column1 - column0) + column - column0]
+                ratio = rate * like * np.exp(stored.log_scale - self.explained[number])
+                candidate.set_share(number, float(ratio / (1.0 + ratio)))
+        if candidate.receptions < DEATH_RECEPTIONS:
+            return False
+        for number, share in candidate.share.items():
+            for other in self.candidates:
+                if share > 0.0 and number in other.share:
+                    other.set_share(number, other.share[number] * (1.0 - share))
+        self._summaries.clear()
+        self.candidates.append(candidate)
+        return True
+
+    def new_candidate(
+        self, columns: tuple[int, int], rows: tuple[int, int], *, spacing: float | None = None
+    ) -> Candidate:
+        """An empty candidate whose cloud covers these cells (half open) and one more all round.
+
+        `spacing` of its points, in cells; one over a whole number.
+        """
+        fine = self.grid.cell_m * (spacing or FINE)
+        per_cell = round(1.0 / (spacing or FINE))
+        east = np.arange(max(0, columns[0] - 1) * per_cell, min(self.grid.n_east, columns[1] + 1) * per_cell)
+        north = np.arange(max(0, rows[0] - 1) * per_cell, min(self.grid.n_north, rows[1] + 1) * per_cell)
+        points = np.column_stack(
+            [np.tile((east + 0.5) * fine, north.size), np.repeat((north + 0.5) * fine, east.size)]
+        )
+        density = self.settings.expected_sources / self.grid.n_cells / per_cell**2
+        prior = np.repeat(self.model.log_prior[:, None] + np.log(density), points.shape[0], axis=1)
+        return Candidate(self.next_ident(), points, prior, self.rate_prior_s, self.exposure_at(points), fine)
+
+    def _refine(self, candidate: Candidate) -> None:
+        """Tell a candidate that has become small on four points for each of its own; its shares stay."""
+        half = candidate.spacing_m / 2
+        corners = np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]]) * half
+        candidate.points_m = np.ascontiguousarray((candidate.points_m[:, None, :] + corners).reshape(-1, 2))
+        candidate.log_prior = np.repeat(candidate.log_prior - np.log(4.0), 4, axis=1)
+        # What has been folded in for good is known only on the old points.
+        folded = candidate.evidence - sum(
+            (share * candidate.logs[number] for number, share in candidate.share.items() if share > 0.0),
+            start=np.zeros_like(candidate.evidence),
+        )
+        candidate.evidence = np.repeat(folded, 4, axis=1)
+        candidate.spacing_m = half
+        candidate.expose(self.exposure_at(candidate.points_m))
+        for number, share in candidate.share.items():
+            log = self.model.log_likelihood(self.open[number].detection, candidate.points_m)
+            candidate.know(number, log)
+            candidate.evidence += share * log
+
+    def _merge(self) -> bool:
+        """Let one candidate speak for two where that explains better what both sent; whether any does."""
+        done = merged = False
+        while not done:
+            done = True
+            for first in self.candidates:
+                for second in self.candidates:
+                    if first.ident >= second.ident or not self._close(first, second):
+                        continue
+                    keep, drop = (first, second) if first.receptions >= second.receptions else (second, first)
+                    gain = merged_gain(keep, drop)
+                    if gain == -np.inf:
+                        keep, drop = drop, keep
+                        gain = merged_gain(keep, drop)
+                    if gain > 0.0:
+                        for number, share in drop.share.items():
+                            if number in keep.share and share > 0.0:
+                                keep.set_share(number, min(1.0, keep.share[number] + share))
+                        self.remove(drop)
+                        self._summaries.pop(keep.ident, None)
+                        done, merged = False, True
+                        break
+                if not done:
+                    break
+        return merged
+
+    def _close(self, first: Candidate, second: Candidate) -> bool:
+        a, b = self.summary(first), self.summary(second)
+        spread = np.sqrt(np.trace(a.cov_m2)) + np.sqrt(np.trace(b.cov_m2))
+        return float(np.hypot(*(a.mean_m - b.mean_m))) < 3.0 * self.grid.cell_m + 2.0 * spread
+
+    def remove(self, candidate: Candidate) -> None:
+        """Drop a candidate; its detections are for others to claim."""
+        self.candidates = [c for c in self.candidates if c is not candidate]
+        self._summaries.pop(candidate.ident, None)
+
+    def _bury(self) -> None:
+        """Drop candidates that nothing supports any more; what they held is unclaimed again."""
+        for candidate in [c for c in self.candidates if c.receptions < DEATH_RECEPTIONS]:
+            for number, share in candidate.share.items():
+                self.unclaimed[number] = min(1.0, self.unclaimed[number] + share)
+            self.remove(candidate)
+
+    def _fold(self) -> None:
+        """Close the oldest detections beyond `MAX_OPEN`."""
+        while len(self.open) > MAX_OPEN:
+            oldest = next(iter(self.open))
+            for candidate in self.candidates:
+                candidate.forget(oldest)
+            del self.open[oldest], self.unclaimed[oldest], self.explained[oldest]

@@ -1,0 +1,108 @@
+"""Who sent what: one pass over the open detections, each shared out among the candidates, the unknown and clutter.
+
+The pass is compiled and runs in the order of the detections, each seeing what the ones before it changed (coordinate
+ascent). A candidate's entries (power hypothesis by point) more than `ACTIVE_NATS` under its best one take no part.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldkit.engine.belief.intensity import loops
+from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, active_entries
+from fieldkit.messages import FloatArray
+
+MOVED = 1e-6
+"""A share that changes by less stays as it is, and the evidence with it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shares:
+    """What is left of each detection, in the order given; brought up to date by every pass."""
+
+    unclaimed: FloatArray
+    """(k,) probability that a source not yet known sent it."""
+    explained: FloatArray
+    """(k,) log of the intensity with which clutter and the candidates explain it."""
+
+
+def share_out(
+    candidates: list[Candidate],
+    numbers: list[int],
+    log_unknown: FloatArray,
+    log_clutter: FloatArray,
+    mean_exposure_s: Callable[[], FloatArray],
+    rate_prior_s: float,
+    left: Shares,
+    *,
+    passes: int,
+) -> None:
+    """Passes over detections `numbers` (k); `log_unknown` and `log_clutter` (k,).
+
+    `mean_exposure_s` gives (candidates,) as it is before each pass. All passes but the last leave alone what one
+    candidate claims beyond doubt.
+    """
+    rows, share = known_shares(candidates, numbers)
+    whole = np.ones(len(numbers))
+    for turn in range(passes):
+        active, start, post, log_exposure = entries_that_count(candidates)
+        before = share.copy()
+        loops.share_out(
+            rows,
+            share,
+            whole,
+            active,
+            start,
+            post,
+            log_exposure,
+            np.array([candidate.receptions for candidate in candidates]),
+            mean_exposure_s(),
+            RATE_SHAPE,
+            rate_prior_s,
+            log_unknown,
+            log_clutter,
+            turn < passes - 1,
+            left.unclaimed,
+            left.explained,
+        )
+        share = take_over(candidates, numbers, before, share)
+
+
+def known_shares(candidates: list[Candidate], numbers: list[int]) -> tuple[NDArray[np.int64], FloatArray]:
+    """(k, c) addresses of the log-likelihoods, 0 where a candidate does not know a detection; (k, c) shares."""
+    shape = (len(candidates), len(numbers))
+    rows = [[candidate.address.get(number, 0) for number in numbers] for candidate in candidates]
+    share = [[candidate.share.get(number, 0.0) for number in numbers] for candidate in candidates]
+    return (
+        np.ascontiguousarray(np.array(rows, dtype=np.int64).reshape(shape).T),
+        np.ascontiguousarray(np.array(share, dtype=float).reshape(shape).T),
+    )
+
+
+def entries_that_count(
+    candidates: list[Candidate],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
+    """The active entries of all candidates, one after another, where each one's begin; log posterior and exposure."""
+    active, post, log_exposure = [np.empty(0, dtype=np.int64)], [np.empty(0)], [np.empty(0)]
+    for candidate in candidates:
+        log = candidate.log_posterior().ravel()
+        keep = active_entries(log)
+        active.append(keep)
+        post.append(log[keep])
+        log_exposure.append(candidate.log_exposure.ravel()[keep])
+    start = np.cumsum([keep.size for keep in active])
+    return np.concatenate(active), start, np.concatenate(post), np.concatenate(log_exposure)
+
+
+def take_over(
+    candidates: list[Candidate], numbers: list[int], before: FloatArray, share: FloatArray
+) -> FloatArray:
+    """Have the candidates claim `share` (k, c) where it has moved; (k, c) as they claim now."""
+    moved = np.abs(share - before) > MOVED
+    for column, candidate in enumerate(candidates):
+        changed = np.flatnonzero(moved[:, column])
+        if changed.size:
+            candidate.set_shares([numbers[index] for index in changed], share[changed, column].tolist())
+    return np.where(moved, share, before)

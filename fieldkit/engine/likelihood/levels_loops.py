@@ -1,0 +1,134 @@
+"""The compiled loops of the exact likelihood and of exposure. Their plain numpy twins are in the tests.
+
+Shapes: points (n, 2) and robots (m, 2) are east, north in metres; `rss` (m,) is nan where a robot listened and
+heard nothing; `levels` (h,) are received powers at 1 m in dBm.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from fieldkit.messages import FloatArray
+
+_SQRT2 = math.sqrt(2.0)
+
+
+@njit(cache=True, nogil=True)
+def _upper(x: float) -> float:
+    """1 - Phi(x)."""
+    return 0.5 * math.erfc(x / _SQRT2)
+
+
+@njit(cache=True, nogil=True)
+def levels_loglik(
+    points: FloatArray,
+    robots: FloatArray,
+    rss: FloatArray,
+    saturated: FloatArray,
+    levels: FloatArray,
+    ten_beta: float,
+    sigma: float,
+    threshold: float,
+    min_range: float,
+    place_sigma: float,
+    loss: float,
+    outlier: float,
+    outlier_width: float,
+    log_silent: FloatArray,
+    log_heard: FloatArray,
+    silent_from: float,
+    per_sigma: float,
+    out: FloatArray,
+) -> None:
+    """out (h, n): log p(readings | source at the point with that level). See `sensing.levels`.
+
+    `log_silent` holds log P(silent) at x = silent_from, silent_from + 1 / per_sigma, ... standard deviations of the
+    mean above the threshold; `log_heard` the log of the density's shape at |t| = 0, 1 / per_sigma, ... .
+    """
+    n = points.shape[0]
+    m = robots.shape[0]
+    n_levels = levels.shape[0]
+    slope = ten_beta / math.log(10.0) * place_sigma
+    silent_top = log_silent.shape[0] - 1.000001
+    heard_top = log_heard.shape[0] - 1.000001
+    for i in range(n):
+        for h in range(n_levels):
+            out[h, i] = 0.0
+        for q in range(m):
+            de = points[i, 0] - robots[q, 0]
+            dn = points[i, 1] - robots[q, 1]
+            d2 = max(de * de + dn * dn, min_range * min_range)
+            attenuation = 0.5 * ten_beta * math.log10(d2)
+            spread = math.sqrt(sigma * sigma + slope * slope / (d2 + place_sigma * place_sigma))
+            if math.isnan(rss[q]):
+                scale = per_sigma / spread
+                shift = (-threshold - 0.5 - attenuation) * scale - silent_from * per_sigma
+                for h in range(n_levels):
+                    at = min(max(levels[h] * scale + shift, 0.0), silent_top)
+                    k = int(at)
+                    out[h, i] += log_silent[k] + (at - k) * (log_silent[k + 1] - log_silent[k])
+            elif saturated[q] > 0.0:
+                for h in range(n_levels):
+                    t = (rss[q] - 0.5 - (levels[h] - attenuation)) / spread
+                    p = (1.0 - loss) * ((1.0 - outlier) * _upper(t) + outlier * _upper(t / outlier_width))
+                    out[h, i] += math.log(max(p, 1e-300))
+            else:
+                wide = math.sqrt(spread * spread + 1.0 / 12.0)
+                norm = math.log((1.0 - loss) / (wide * math.sqrt(2.0 * math.pi)))
+                scale = per_sigma / wide
+                for h in range(n_levels):
+                    at = min(abs(rss[q] + attenuation - levels[h]) * scale, heard_top)
+                    k = int(at)
+                    out[h, i] += norm + log_heard[k] + (at - k) * (log_heard[k + 1] - log_heard[k])
+
+
+@njit(cache=True, nogil=True)
+def add_exposure(
+    exposure: FloatArray,
+    cell: float,
+    robots: FloatArray,
+    hear: FloatArray,
+    step2: float,
+    limit2: FloatArray,
+    duration: float,
+) -> None:
+    """Add `duration` times P(some robot hears a source in the cell) to exposure (levels, n_north, n_east).
+
+    `hear` (levels, k) is the probability of one robot hearing at squared distance k * step2; beyond the squared
+    distance `limit2` (levels,) nothing is added.
+    """
+    n_levels, rows, columns = exposure.shape
+    m = robots.shape[0]
+    last = hear.shape[1] - 1
+    per_step2 = 1.0 / step2
+    widest = math.sqrt(limit2.max())
+    row0 = max(0, int(math.floor((robots[:, 1].min() - widest) / cell)))
+    row1 = min(rows, int(math.floor((robots[:, 1].max() + widest) / cell)) + 1)
+    # Where a cell stands in the table is the same for all levels: found once a row and robot.
+    at = np.empty((m, columns), dtype=np.int32)
+    silent = np.empty(columns)
+    for r in range(row0, row1):
+        north = (r + 0.5) * cell
+        for q in range(m):
+            dn2 = (north - robots[q, 1]) ** 2
+            for c in range(columns):
+                de = (c + 0.5) * cell - robots[q, 0]
+                at[q, c] = min(int((de * de + dn2) * per_step2), last)
+        for h in range(n_levels):
+            table = hear[h]
+            left, right = columns, 0
+            silent[:] = 1.0
+            for q in range(m):
+                room2 = limit2[h] - (north - robots[q, 1]) ** 2
+                if room2 <= 0.0:
+                    continue
+                half = math.sqrt(room2)
+                column0 = max(0, int(math.floor((robots[q, 0] - half) / cell)))
+                column1 = min(columns, int(math.floor((robots[q, 0] + half) / cell)) + 1)
+                left, right = min(left, column0), max(right, column1)
+                index = at[q]
+                for c in range(column0, column1):
+                    silent[c] *= 1.0 - table[index[c]]
+            for c in range(left, right):
+                exposure[h, r, c] += duration * (1.0 - silent[c])

@@ -1,0 +1,157 @@
+"""What a path of a team is worth to the default planner, beside those already planned.
+
+A path is worth the sources it would newly hear on unsearched ground, plus the progress it would make on candidates
+not yet resolved: receptions still missing, and the shrinking of their posterior by Fisher information, both as
+expected over samples of where and how strong each candidate may be. A find is worth another look by the probability
+that it lies a cell off.
+"""
+
+import math
+
+import numpy as np
+
+from fieldkit.channel.model import MIN_RANGE_M
+from fieldkit.engine.belief.intensity.belief import Unresolved
+from fieldkit.engine.likelihood.levels import LevelsModel
+from fieldkit.engine.planning import path_loops
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import FloatArray
+
+STEP_S = 1.5
+"""Between the points of a track."""
+RESOLVE_VALUE = 2.0
+RECEPTION_VALUE = 0.3
+TARGET_CELLS = 0.45
+"""Standard deviation, in cells, at which a place is certain to within one cell."""
+GROUND_RATE = 0.25
+"""Unheard sources are taken to send at this share of the reference rate: those that send more have been heard."""
+SETTLED_CELLS = 0.25
+"""The same for a find that is looked at once more."""
+SETTLE_VALUE = 4.0
+"""Of a find's place made certain, by the probability that it lies a cell off."""
+DOUBTFUL_VALUE = 0.3
+"""Of readings that the model does not explain: more of them seldom help."""
+
+
+class Ledger:
+    """What is to be gained, what the teams planned so far take of it, and what a further path would add.
+
+    All tracks (steps, m, 2) of one ledger have as many steps.
+    """
+
+    def __init__(
+        self,
+        settings: EngineSettings,
+        model: LevelsModel,
+        ground: FloatArray,
+        square_m: float,
+        unresolved: list[Unresolved],
+    ) -> None:
+        self.unresolved = unresolved
+        self._taken_m: FloatArray | None = None
+        """(steps, k, 2): tracks of all robots so far."""
+        self._settings = settings
+        self._model = model
+        self._ground = ground
+        """(n_north, n_east) of squares of side `square_m`: expected number of sources not among the candidates."""
+        self._square_m = square_m
+        self._rate_hz = GROUND_RATE * settings.reference_rate_hz
+        self._planned_s = np.zeros(ground.shape)
+        """P(heard) integrated over the time of the tracks taken."""
+        self._learnt = [np.zeros(4) for _ in unresolved]
+        """Exposure and information per unit rate that they give of each candidate."""
+        self._scratch = np.empty(ground.shape)
+
+    def left(self) -> FloatArray:
+        """(n_north, n_east) of squares: sources that the tracks taken would leave unheard."""
+        return np.asarray(self._ground * np.exp(-self._rate_hz * self._planned_s))
+
+    def take(self, track_m: FloatArray) -> None:
+        """What this track gains is no gain for others."""
+        self._scratch[:] = 0.0
+        self._newly_heard(track_m[None], np.ones(1))
+        self._planned_s += self._scratch
+        for index, candidate in enumerate(self.unresolved):
+            self._learnt[index] = self._learnt[index] + self._told_of(candidate, track_m[None])[0]
+        before = self._taken_m
+        self._taken_m = track_m if before is None else np.concatenate([before, track_m], axis=1)
+
+    def worth(self, tracks_m: FloatArray) -> FloatArray:
+        """(n,) of tracks (n, steps, m, 2): sources newly heard, and progress with those not resolved.
+
+        -inf where a track comes nearer than the separation to one that was taken.
+        """
+        total = self._newly_heard(tracks_m, self._clear(tracks_m))
+        for candidate, before in zip(self.unresolved, self._learnt, strict=True):
+            told = self._told_of(candidate, tracks_m)
+            gained = self._progress(candidate, before + told) - self._progress(candidate, before[None])
+            total += np.where(told[:, 0] > 1e-3, gained, 0.0)
+        return total
+
+    def _clear(self, tracks_m: FloatArray) -> FloatArray:
+        """(n,) 1 where a track keeps the separation from all that were taken, else 0."""
+        clear = np.ones(len(tracks_m))
+        if self._taken_m is not None:
+            path_loops.all_clear(tracks_m, self._taken_m, self._settings.min_separation_m, clear)
+        return clear
+
+    def _newly_heard(self, tracks_m: FloatArray, clear: FloatArray) -> FloatArray:
+        """(n,) expected number of sources; the last track's own exposure is left in the scratch."""
+        gain = np.empty(len(tracks_m))
+        path_loops.all_ground_gains(
+            tracks_m,
+            clear,
+            STEP_S,
+            self._ground,
+            self._planned_s,
+            self._square_m,
+            self._model.hear_known_mean,
+            self._model.step2_m2,
+            self._model.search_reach_m,
+            self._rate_hz,
+            self._scratch,
+            gain,
+        )
+        return gain
+
+    def _told_of(self, candidate: Unresolved, tracks_m: FloatArray) -> FloatArray:
+        """(n, 4) exposure and information per unit rate that tracks (n, steps, m, 2) give of a candidate."""
+        told = np.empty((len(tracks_m), 4))
+        path_loops.all_information(
+            tracks_m,
+            STEP_S,
+            candidate.points_m,
+            candidate.level,
+            self._model.hear,
+            self._model.step2_m2,
+            MIN_RANGE_M,
+            told,
+        )
+        return told
+
+    def _progress(self, candidate: Unresolved, told: FloatArray) -> FloatArray:
+        """(n,) worth of what is known of a candidate after it has told this: (n, 4) exposure and information."""
+        rate = candidate.rate_hz
+        antenna, cell_m = self._settings.antenna, self._settings.grid.cell_m
+        scale = (10.0 * antenna.path_loss_exponent / (antenna.sigma_db * math.log(10.0))) ** 2 * rate
+        floor = (0.1 * cell_m) ** 2
+        ee, en, nn = candidate.cov_m2[0, 0] + floor, candidate.cov_m2[0, 1], candidate.cov_m2[1, 1] + floor
+        det = ee * nn - en * en
+        ee, en, nn = (
+            nn / det + scale * told[:, 1],
+            scale * told[:, 2] - en / det,
+            ee / det + scale * told[:, 3],
+        )
+        # Receptions still needed grow with the precision still missing: so counted, a candidate that is nearly
+        # resolved is worth finishing before driving to the next. Eigenvalues of the precision, closed form.
+        only_place = candidate.state == "found" and not candidate.may_be_two
+        target = ((SETTLED_CELLS if only_place else TARGET_CELLS) * cell_m) ** 2
+        middle, half = (ee + nn) / 2.0, np.hypot((ee - nn) / 2.0, en)
+        done = (np.minimum((middle - half) * target, 1.0) + np.minimum((middle + half) * target, 1.0)) / 2.0
+        missing = max(1.0, self._settings.min_receptions - candidate.receptions)
+        received = 1.0 - np.exp(-rate * told[:, 0] / missing)
+        if only_place:
+            worth = SETTLE_VALUE * (1.0 - candidate.p_here)
+        else:
+            worth = DOUBTFUL_VALUE if candidate.state == "doubtful" else 1.0
+        return np.asarray(worth * (RESOLVE_VALUE * done + RECEPTION_VALUE * received))

@@ -1,0 +1,1 @@
+"""Plane geometry in the field frame: areas, segments and distances, used by planners and safety alike."""

@@ -1,0 +1,37 @@
+"""What a mission file allows but a field team will regret. Notes, not errors."""
+
+import numpy as np
+
+from mission.core.mission_file import Mission
+
+
+def advise(mission: Mission) -> list[str]:
+    """Plain sentences, most important first; empty when there is nothing to say."""
+    engine = mission.kernel.engine
+    ranges = engine.antenna.nominal_range_m(np.array(engine.power_levels_db))
+    shortest, longest = float(ranges.min()), float(ranges.max())
+    notes = []
+    if mission.antenna.verdict != "accepted":
+        notes.append(f"the calibration was {mission.antenna.verdict}: {'; '.join(mission.antenna.reasons)}")
+    if engine.grid.cell_m > 0.5 * shortest:
+        notes.append(
+            f"cells of {engine.grid.cell_m} m are coarse for the shortest range of {shortest:.2f} m; "
+            f"try {shortest / 5:.2f} m"
+        )
+    if longest > 0.7 * min(engine.grid.size_east_m, engine.grid.size_north_m):
+        notes.append(
+            f"the longest range ({longest:.1f} m) spans most of the field: every robot hears everything"
+        )
+    if mission.kernel.sources_expected is None and mission.kernel.stop_probability_left is None:
+        notes.append(f"nothing but the time limit ({mission.kernel.max_duration_s:.0f} s) ends this mission")
+    lone = [team[0] for team in engine.teams if len(team) == 1]
+    if lone:
+        notes.append(
+            f"{', '.join(lone)} moves alone: a pair learns more of an unknown power than two single robots"
+        )
+    if mission.kernel.association_window_s * engine.reference_rate_hz * engine.expected_sources > 0.1:
+        notes.append(
+            f"association.window_s of {mission.kernel.association_window_s} s will join one transmission in ten "
+            "with another source's; synchronise the clocks and shorten it"
+        )
+    return notes

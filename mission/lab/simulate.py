@@ -1,0 +1,197 @@
+"""A mission in a plain loop under virtual time: thousands of simulated seconds a second, no asyncio.
+
+The world's robots drive with limited speed and turn rate, its channel rounds, loses and saturates readings as
+the antenna says. The kernel and safety are the ones of a live mission.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fieldkit.channel.model import Antenna
+from fieldkit.messages import (
+    Command,
+    EndMission,
+    Event,
+    FloatArray,
+    GoTo,
+    Hold,
+    Pose,
+    Return,
+    RssReading,
+    Tick,
+    VehicleState,
+)
+from fieldkit.world.channel import sample_rss_dbm
+from fieldkit.world.rover import Rover
+from fieldkit.world.sources import TransientSource, Transmissions
+from mission.core.kernel import Kernel, KernelSettings, Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What the simulated world is like; the kernel may believe otherwise."""
+
+    antenna: Antenna
+    sources: tuple[TransientSource, ...]
+    start_m: tuple[tuple[float, float], ...]
+    """Where each robot starts, in the order of the teams."""
+    packet_loss: float = 0.0
+    clock_sigma_s: float = 0.0
+    """Each robot's clock offset is drawn once with this deviation."""
+    pose_sigma_m: float = 0.03
+    pose_bias_m: float = 0.0
+    """Each robot's position is off by this much in a direction of its own."""
+    max_speed_m_s: float = 0.4
+
+
+@dataclass(slots=True)
+class Result:
+    """How a simulated mission went."""
+
+    kernel: Kernel
+    elapsed_s: float
+    end_reason: str
+    time_to_all_s: float | None
+    """When every true source had a find within one cell (Chebyshev), for good; None if never."""
+    false_finds: int
+    """Finds further than two cells from every source, at the end."""
+
+
+def simulate(
+    settings: KernelSettings,
+    truth: Truth,
+    seed: int,
+    *,
+    step_s: float = 0.5,
+    on_step: Callable[[Kernel, Event, Outcome], Iterable[Command]] | None = None,
+) -> Result:
+    """Run a mission to its end. Everything random derives from `seed`.
+
+    `on_step` sees every event with its outcome and gives the commands that are carried out: where safety or a
+    recorder is put in.
+    """
+    kernel = Kernel(settings)
+    rng_traffic, rng_channel, rng_pose = (np.random.default_rng([seed, k]) for k in range(3))
+    robots = settings.engine.robots
+    rovers = {
+        r: Rover(e, n, max_speed_m_s=truth.max_speed_m_s)
+        for r, (e, n) in zip(robots, truth.start_m, strict=True)
+    }
+    clock_s = dict(zip(robots, rng_pose.normal(0.0, 1.0, len(robots)) * truth.clock_sigma_s, strict=True))
+    turn = rng_pose.uniform(0.0, 2 * np.pi, len(robots))
+    bias = {
+        r: truth.pose_bias_m * np.array([np.sin(a), np.cos(a)]) for r, a in zip(robots, turn, strict=True)
+    }
+    traffic = Transmissions(list(truth.sources), rng_traffic)
+    covered_at: dict[int, float] = {}
+    inbox: list[Event] = [VehicleState(0, robot, "guided", True) for robot in robots]
+    end_reason = ""
+    t_s = 0.0
+    before = {robot: (rover.east_m, rover.north_m) for robot, rover in rovers.items()}
+    while not end_reason:
+        for robot, rover in rovers.items():
+            noise = rng_pose.normal(0.0, truth.pose_sigma_m, 2) if truth.pose_sigma_m > 0 else np.zeros(2)
+            east, north = np.array([rover.east_m, rover.north_m]) + bias[robot] + noise
+            inbox.append(
+                Pose(
+                    round(t_s * 1e9),
+                    robot,
+                    float(east),
+                    float(north),
+                    0.0,
+                    rover.heading_deg,
+                    truth.pose_sigma_m,
+                )
+            )
+        for at_s, source in traffic.until(t_s):
+            share = 1.0 - (t_s - at_s) / step_s
+            place = np.array(
+                [
+                    (e + share * (rovers[r].east_m - e), n + share * (rovers[r].north_m - n))
+                    for r, (e, n) in before.items()
+                ]
+            )
+            heading = np.array([rover.heading_deg for rover in rovers.values()])
+            inbox += _heard(at_s, source, place, clock_s, truth, rng_channel, heading)
+        inbox.append(Tick(round(t_s * 1e9)))
+        for event in inbox:
+            outcome = kernel.step(event)
+            commands = outcome.commands if on_step is None else on_step(kernel, event, outcome)
+            for command in commands:
+                match command:
+                    case GoTo(_, robot, waypoint):
+                        rovers[robot].go_to(waypoint.east_m, waypoint.north_m, waypoint.speed_m_s)
+                    case Hold(_, robot, _) | Return(_, robot, _):
+                        rovers[robot].stop()
+                    case EndMission(_, reason):
+                        end_reason = reason
+            if outcome.detections:
+                _cover(kernel, truth, t_s, covered_at)
+        inbox = []
+        before = {robot: (rover.east_m, rover.north_m) for robot, rover in rovers.items()}
+        for rover in rovers.values():
+            rover.step(step_s)
+        t_s += step_s
+        open_ended = settings.sources_expected is None and settings.stop_probability_left is None
+        if open_ended and truth.sources and len(covered_at) == len(truth.sources):
+            end_reason = "every source is found"
+    done = len(covered_at) == len(truth.sources)
+    return Result(
+        kernel,
+        t_s,
+        end_reason,
+        max(covered_at.values(), default=0.0) if done else None,
+        count_false(kernel, truth),
+    )
+
+
+def _heard(
+    at_s: float,
+    source: TransientSource,
+    place: FloatArray,
+    clock_s: dict[str, float],
+    truth: Truth,
+    rng: np.random.Generator,
+    heading_deg: FloatArray | float = 0.0,
+) -> list[Event]:
+    """What the radios at `place` (m, 2), pointing to `heading_deg` (m,), heard, in the order of `clock_s`."""
+    way = np.array([source.east_m, source.north_m]) - place
+    off_front = np.degrees(np.arctan2(way[:, 0], way[:, 1])) - heading_deg
+    rss = sample_rss_dbm(truth.antenna, np.hypot(*way.T), source.power_db, rng, off_front)
+    if truth.packet_loss > 0.0:
+        rss = np.where(rng.random(rss.shape) < truth.packet_loss, np.nan, rss)
+    ceiling = truth.antenna.saturation_dbm
+    return [
+        RssReading(
+            round((at_s + clock_s[robot]) * 1e9),
+            robot,
+            float(value),
+            saturated=ceiling is not None and value >= ceiling,
+        )
+        for robot, value in zip(clock_s, rss, strict=True)
+        if not np.isnan(value)
+    ]
+
+
+def _cover(kernel: Kernel, truth: Truth, t_s: float, covered_at: dict[int, float]) -> None:
+    """Note which sources have a find within one cell now; one that has lost its find is uncovered again."""
+    cell = kernel.settings.engine.grid.cell_m
+    found = [(s.east_m, s.north_m) for s in kernel.sources() if s.state == "found"]
+    for index, source in enumerate(truth.sources):
+        near = any(max(abs(e - source.east_m), abs(n - source.north_m)) <= 1.0 * cell for e, n in found)
+        if near:
+            covered_at.setdefault(index, t_s)
+        else:
+            covered_at.pop(index, None)
+
+
+def count_false(kernel: Kernel, truth: Truth) -> int:
+    """Finds further than two cells from every source."""
+    cell = kernel.settings.engine.grid.cell_m
+    return sum(
+        all(np.hypot(s.east_m - t.east_m, s.north_m - t.north_m) > 2.0 * cell for t in truth.sources)
+        for s in kernel.sources()
+        if s.state == "found"
+    )

@@ -1,0 +1,587 @@
+"""What faults do to a mission: random ones, many missions, the real shell and driver on emulated vehicles.
+
+Each trial is one mission on the real runner, safety, recorder and MAVLink driver. Vehicles are emulated behind real
+UDP sockets, radios at the port (their wires have tests of their own), and time jumps (`fieldkit.jumploop`), so a
+trial is repeatable by its seed. Every fourth trial has 16 robots, the others 4. Each is flown twice: with faults and,
+from the same seed, without. Judged is what happened to the vehicles, not what the mission thinks happened.
+
+An operator is played too: a while after a fault has gone, the robot is resumed.
+"""
+
+import asyncio
+import math
+import shutil
+import socket
+import tempfile
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldkit import jumploop, plugins
+from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
+from fieldkit.errors import FieldkitError
+from fieldkit.files import write_whole
+from fieldkit.messages import GoTo, Operator
+from fieldkit.recording.reader import open_recording
+from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.channel import sample_rss_dbm
+from fieldkit.world.fakes import FakeReceiver
+from fieldkit.world.sources import TransientSource, Transmissions, random_sources
+from mission.core.mission_file import Mission, read_mission
+from mission.core.template import TemplateRobot, mission_text
+from mission.lab.study.pool import Progress, run_trials
+from mission.lab.synthetic import ANTENNA, LEVELS_DB
+from mission.replay.replay import replay, resumable
+from mission.safety.rules import SafetySettings
+from mission.shell.runner import Runner
+from mission.shell.setups import Rig, replace_options, start_places, with_vehicles
+
+START_NS = 1_760_000_000 * 1_000_000_000
+LARGE_EVERY = 4
+REACTION_S = 15.0
+"""From a fault to its robot standing: a vehicle's own failsafe takes 6.5 s, ours less."""
+RESUME_S = 15.0
+"""From the end of a fault to the operator's resume."""
+KILLED_S = 20.0
+"""How long a killed mission is away."""
+NEVER_S = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """A fleet and its field."""
+
+    robots: int
+    field_m: float
+    sources: int
+    duration_s: float
+
+
+SMALL, LARGE = Size(4, 10.0, 2, 300.0), Size(16, 20.0, 4, 160.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One trial."""
+
+    number: int
+    seed: int
+
+    @property
+    def size(self) -> Size:
+        return LARGE if self.number % LARGE_EVERY == LARGE_EVERY - 1 else SMALL
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that happens to one robot, or to all (robot "")."""
+
+    kind: str
+    robot: str
+    at_s: float
+    until_s: float
+
+
+#: Kind to the shortest and longest time it lasts, s. Those of no length happen once.
+KINDS: dict[str, tuple[float, float]] = {
+    "link loss": (10.0, 90.0),
+    "radio unplugged": (5.0, 200.0),
+    "GPS loss": (10.0, 60.0),
+    "stuck": (40.0, 120.0),
+    "reboot": (0.0, 0.0),
+    "battery drop": (0.0, 0.0),
+    "clock step": (0.0, 0.0),
+    "packet loss 30 %": (30.0, 120.0),
+    "forged and replayed frames": (10.0, 60.0),
+    "operator takes over": (10.0, 60.0),
+    "kill -9 and resume": (0.0, 0.0),
+}
+STOPS = {"link loss", "GPS loss", "reboot", "battery drop", "operator takes over"}
+"""Faults after which the robot must not go on driving to way-points of ours."""
+RESUMED = STOPS - {"battery drop"} | {"stuck", "radio unplugged"}
+
+
+def draw_faults(job: Job, robots: tuple[str, ...]) -> list[Fault]:
+    """One to three faults of different kinds on different robots, from the seed."""
+    rng = np.random.default_rng([job.seed, 0xFA])
+    size = job.size
+    count = int(rng.integers(1, 4))
+    kinds = [str(kind) for kind in rng.choice(list(KINDS), count, replace=False)]
+    kinds[0] = list(KINDS)[job.number % len(KINDS)]  # each kind comes up equally often
+    victims = rng.choice(robots, count, replace=False)
+    faults = []
+    for kind, robot in zip(dict.fromkeys(kinds), victims, strict=False):
+        at_s = float(rng.uniform(0.1, 0.5)) * size.duration_s
+        until_s = at_s + float(rng.uniform(*KINDS[kind]))
+        everybody = kind in ("packet loss 30 %", "kill -9 and resume")
+        faults.append(Fault(kind, "" if everybody else str(robot), at_s, until_s))
+    return sorted(faults, key=lambda fault: fault.at_s)
+
+
+@dataclass
+class Flight:
+    """One mission flown: what the judge looks at afterwards."""
+
+    folder: Path
+    mission: Mission
+    fleet: Any
+    clock: jumploop.LoopClock
+    radios: dict[str, FakeReceiver]
+    faults: list[Fault]
+    runner: Runner | None = None
+    recordings: list[Path] = field(default_factory=list)
+    not_held: list[str] = field(default_factory=list)
+    resumed_wrongly: list[str] = field(default_factory=list)
+    running: "asyncio.Task[str] | None" = None
+    ended_s: float = NEVER_S
+
+    def operator(self, action: str, robot: str | None) -> None:
+        """The operator's word."""
+        if self.runner is not None and not self.runner.end_reason:
+            self.runner.put(Operator(self.clock.now_ns(), action, robot))  # type: ignore[arg-type]
+
+
+def trial(job: Job) -> dict[str, Any]:
+    """One mission with faults and one without."""
+    with tempfile.TemporaryDirectory(prefix="fieldkit-") as folder:
+        return _judge(
+            job,
+            jumploop.run(_fly(job, Path(folder) / "with", with_faults=True)),
+            jumploop.run(_fly(job, Path(folder) / "without", with_faults=False)),
+        )
+
+
+def _prepare(job: Job, folder: Path) -> tuple[Mission, tuple[TransientSource, ...]]:
+    size = job.size
+    folder.mkdir(parents=True)
+    write_whole(folder / "antenna.toml", dump_antenna(AntennaFile(ANTENNA)))
+    key = folder / "link.key"
+    key.write_bytes(np.random.default_rng([job.seed, 0xCE]).bytes(32))
+    key.chmod(0o600)
+    text = mission_text(
+        name="faults",
+        seed=job.seed,
+        size_m=size.field_m,
+        cell_m=0.2 if size is SMALL else 0.4,
+        power_levels_db=LEVELS_DB,
+        rate_hz=0.1,
+        expected=float(size.sources),
+        planning_period_s=20.0,
+        max_duration_s=size.duration_s,
+        sources_found=size.sources,
+        fence_margin_m=0.2,
+        min_separation_m=0.5,
+        robots=[
+            TemplateRobot(f"r{k}", f"radio{k}", "udpin:127.0.0.1:0", k) for k in range(1, size.robots + 1)
+        ],
+    )
+    write_whole(folder / "mission.toml", text)
+    rng = np.random.default_rng([job.seed, 0x50])
+    sources = random_sources(
+        size.sources, size.field_m, size.field_m, LEVELS_DB, 0.1, rng, min_separation_m=1.5
+    )
+    return read_mission(folder / "mission.toml"), tuple(sources)
+
+
+async def _fly(job: Job, folder: Path, *, with_faults: bool) -> dict[str, Any]:
+    """The whole mission; what it looked like from outside."""
+    mission, sources = _prepare(job, folder)
+    clock = jumploop.LoopClock(START_NS)
+    factory = plugins.load("fieldkit.emulators", "fleet")
+    port = _free_udp_port()
+    key = (folder / "link.key").read_bytes()
+    spec = factory.spec_type(
+        mission.frame, start_places(mission), ("127.0.0.1", port), job.seed, signing_key=key
+    )
+    faults = draw_faults(job, mission.kernel.engine.robots) if with_faults else []
+    async with factory(spec, clock) as fleet:
+        radios = {name: FakeReceiver(name, clock) for name in fleet.rovers}
+        flight = Flight(folder, mission, fleet, clock, radios, faults)
+        tasks = [asyncio.create_task(_transmit(flight, sources, job.seed))]
+        tasks += [asyncio.create_task(_happen(flight, fault, port)) for fault in faults]
+        flight.running = asyncio.create_task(_run(flight, port, None))
+        while flight.running is not None and not flight.running.done():
+            await asyncio.wait({flight.running})
+            await asyncio.sleep(0)
+            if any(fault.kind.startswith("kill") for fault in faults) and flight.ended_s == NEVER_S:
+                await clock.sleep(KILLED_S + 1.0)  # it may have been killed, and come again
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    return _measure(flight, sources)
+
+
+async def _run(flight: Flight, port: int, past: Path | None) -> str:
+    """One life of the mission: until it ends, or is killed."""
+    key = str(flight.folder / "link.key")
+    robots = tuple(
+        robot.model_copy(
+            update={
+                "vehicle": replace_options(
+                    robot.vehicle, {"address": f"udpin:127.0.0.1:{port}", "signing_key": key}
+                )
+            }
+        )
+        for robot in flight.mission.file.robot
+    )
+    links = with_vehicles(flight.mission, robots, flight.clock)
+    rig = Rig(flight.clock, tuple(flight.radios.values()), links)
+    path = flight.folder / f"mission-{len(flight.recordings)}.mcap"
+    flight.recordings.append(path)
+    recorder = RecordingWriter(
+        path,
+        mission_toml=flight.mission.text,
+        antenna_toml=flight.mission.antenna_text,
+        start_ns=0 if past is not None else flight.clock.now_ns(),
+    )
+    runner = flight.runner = Runner(flight.mission, rig, recorder)
+    if past is not None:
+        recording = open_recording(past)
+        resumable(recording)
+        runner.relive(recording.steps())
+    reason = await runner.run()
+    recorder.close()
+    flight.ended_s = flight.clock.elapsed_s()
+    return reason
+
+
+async def _kill(flight: Flight, port: int) -> None:
+    """As kill -9 would: what is on the disk is all there is, nobody is told anything, vehicles are on their own."""
+    if flight.running is None or flight.running.done() or flight.runner is None:
+        return
+    left = flight.folder / "left.mcap"
+    shutil.copy(flight.recordings[-1], left)
+    flight.recordings[-1] = left
+    flight.runner._steered = False  # a killed process sends no last hold
+    flight.running.cancel()
+    await asyncio.wait({flight.running})
+    await flight.clock.sleep(KILLED_S)
+    flight.not_held += [
+        f"{name} after the kill" for name, rover in flight.fleet.rovers.items() if rover.drives_for_us
+    ]
+    flight.running = asyncio.create_task(_run(flight, port, left))
+    await flight.clock.sleep(RESUME_S)
+    flight.operator("resume", None)
+
+
+async def _transmit(flight: Flight, sources: tuple[TransientSource, ...], seed: int) -> None:
+    """The hidden sources: every radio that is in reach hears, with its own noise."""
+    schedule = Transmissions(list(sources), np.random.default_rng([seed, 1]))
+    rng = np.random.default_rng([seed, 2])
+    names = list(flight.radios)
+    while True:
+        await flight.clock.sleep(0.05)
+        for _, source in schedule.until(flight.clock.elapsed_s()):
+            places = np.array([flight.fleet.rovers[name].place_m for name in names])
+            ranges_m = np.hypot(*(places - (source.east_m, source.north_m)).T)
+            levels = sample_rss_dbm(ANTENNA, ranges_m, source.power_db, rng)
+            for name, level in zip(names, levels, strict=True):
+                if np.isfinite(level) and not _is_unplugged(flight, name):
+                    flight.radios[name].hear(float(level))
+
+
+def _is_unplugged(flight: Flight, name: str) -> bool:
+    now_s = flight.clock.elapsed_s()
+    return any(
+        fault.kind == "radio unplugged" and fault.robot == name and fault.at_s <= now_s < fault.until_s
+        for fault in flight.faults
+    )
+
+
+async def _happen(flight: Flight, fault: Fault, port: int) -> None:
+    """One fault, from its beginning to the operator's resume; in between, whether its robot stands."""
+    await flight.clock.sleep(fault.at_s)
+    if fault.kind.startswith("kill"):
+        await _kill(flight, port)
+        return
+    victims = list(flight.fleet.rovers.values()) if not fault.robot else [flight.fleet.rovers[fault.robot]]
+    begin, end = _ACTS[fault.kind]
+    goes_on = _goes_on_by_itself(fault, victims[0].holds, flight.mission.safety)
+    for rover in victims:
+        await begin(rover, flight, fault)
+    if fault.kind in STOPS:
+        await flight.clock.sleep(REACTION_S)
+        if flight.clock.elapsed_s() < flight.ended_s and victims[0].drives_for_us and not _forgiven(flight):
+            flight.not_held.append(f"{fault.robot} after {fault.kind}")
+    await flight.clock.sleep(max(0.0, fault.until_s - flight.clock.elapsed_s()))
+    for rover in victims:
+        await end(rover, flight, fault)
+    if fault.kind in RESUMED:
+        targets = len(victims[0].targets)
+        await flight.clock.sleep(RESUME_S)
+        waits = fault.kind in STOPS and not goes_on
+        if waits and len(victims[0].targets) > targets and not _forgiven(flight):
+            flight.resumed_wrongly.append(f"{fault.robot} after {fault.kind}")
+        flight.operator("resume", fault.robot)
+
+
+def _goes_on_by_itself(fault: Fault, held: bool, limits: SafetySettings) -> bool:
+    """A robot that stood under a hold of ours when it lost its position, and has it back before we call for help."""
+    call_s = limits.call_after_s + limits.pose_timeout_s
+    return fault.kind == "GPS loss" and held and fault.until_s - fault.at_s <= call_s
+
+
+def _forgiven(flight: Flight) -> bool:
+    """After a resume of everybody (the mission was killed) a robot may rightly be under way again."""
+    return len(flight.recordings) > 1
+
+
+Act = Callable[[Any, Flight, Fault], Awaitable[None]]
+
+
+def _act(change: Callable[[Any, Flight, Fault], object]) -> Act:
+    async def act(rover: Any, flight: Flight, fault: Fault) -> None:
+        change(rover, flight, fault)
+
+    return act
+
+
+async def _forge(rover: Any, flight: Flight, fault: Fault) -> None:
+    while flight.clock.elapsed_s() < fault.until_s:
+        rover.forge()
+        await flight.clock.sleep(0.5)
+
+
+def _nothing(rover: Any, flight: Flight, fault: Fault) -> None:
+    """It does not end by itself."""
+
+
+_ACTS: dict[str, tuple[Act, Act]] = {
+    "link loss": (
+        _act(lambda rover, *_: setattr(rover, "silent", True)),
+        _act(lambda rover, *_: setattr(rover, "silent", False)),
+    ),
+    "radio unplugged": (
+        _act(lambda _, flight, fault: flight.radios[fault.robot].set_up(False, "unplugged")),
+        _act(lambda _, flight, fault: flight.radios[fault.robot].set_up(True, "back")),
+    ),
+    "GPS loss": (
+        _act(lambda rover, *_: rover.autopilot.lose_gps(True)),
+        _act(lambda rover, *_: rover.autopilot.lose_gps(False)),
+    ),
+    "stuck": (
+        _act(lambda rover, *_: setattr(rover.autopilot.trouble, "stuck", True)),
+        _act(lambda rover, *_: setattr(rover.autopilot.trouble, "stuck", False)),
+    ),
+    "reboot": (_act(lambda rover, *_: rover.reboot()), _act(_nothing)),
+    "battery drop": (
+        _act(lambda rover, *_: setattr(rover.autopilot, "battery_pct", 20.0)),
+        _act(_nothing),
+    ),
+    "clock step": (
+        _act(lambda rover, _, fault: rover.step_clock(30.0 if fault.at_s % 2 > 1 else -0.8)),
+        _act(_nothing),
+    ),
+    "packet loss 30 %": (
+        _act(lambda rover, *_: setattr(rover, "loss", 0.3)),
+        _act(lambda rover, *_: setattr(rover, "loss", 0.0)),
+    ),
+    "forged and replayed frames": (_forge, _act(_nothing)),
+    "operator takes over": (_act(lambda rover, *_: rover.taken_by_hand()), _act(_nothing)),
+}
+
+
+# -- the judge -----------------------------------------------------------------------------------------------
+
+
+def _measure(flight: Flight, sources: tuple[TransientSource, ...]) -> dict[str, Any]:
+    runner = flight.runner
+    assert runner is not None
+    cell_m = flight.mission.kernel.engine.grid.cell_m
+    finds = [source for source in runner.kernel.sources() if source.state == "found"]
+    near = [
+        any(max(abs(f.east_m - s.east_m), abs(f.north_m - s.north_m)) <= cell_m for f in finds)
+        for s in sources
+    ]
+    stray = [
+        f
+        for f in finds
+        if all(math.hypot(f.east_m - s.east_m, f.north_m - s.north_m) > 2 * cell_m for s in sources)
+    ]
+    last_fault_s = max((fault.at_s for fault in flight.faults), default=0.0)
+    touched = {fault.robot for fault in flight.faults}
+    others = [name for name in flight.fleet.rovers if name not in touched]
+    went_on = any(
+        target.t_s > last_fault_s for name in others for target in flight.fleet.rovers[name].targets
+    )
+    return {
+        "end_reason": runner.end_reason,
+        "found": sum(near),
+        "sources": len(sources),
+        "false_finds": len(stray),
+        "fence_breaches": _fence_breaches(flight),
+        "separation_breaches": _separation_breaches(flight),
+        "closest_m": flight.fleet.closest_m,
+        "not_held": flight.not_held,
+        "resumed_wrongly": flight.resumed_wrongly,
+        "others_stopped": bool(
+            flight.faults and others and flight.ended_s > last_fault_s + 60.0 and not went_on
+        ),
+        "unreadable": [problem for path in flight.recordings if (problem := _unreadable(path))],
+        "interventions": runner.safety.interventions,
+        "ended_s": flight.ended_s,
+    }
+
+
+def _fence_breaches(flight: Flight) -> int:
+    """Targets that vehicles took on the wire, outside the fence that way-points must keep inside."""
+    size, margin = flight.mission.file.field, flight.mission.safety.fence_margin_m - 0.02
+    return sum(
+        not (
+            margin <= target.east_m <= size.size_east_m - margin
+            and margin <= target.north_m <= size.size_north_m - margin
+        )
+        for rover in flight.fleet.rovers.values()
+        for target in rover.targets
+    )
+
+
+def _separation_breaches(flight: Flight) -> int:
+    """Way-points let pass that would have brought two robots too near, each driving straight from where it said it was.
+
+    Stepped through in time, from the recording alone: another reckoning than the one safety uses.
+    """
+    try:
+        recording = open_recording(flight.recordings[-1])
+        return _count_near(recording, flight.mission)
+    except FieldkitError:
+        return 0
+
+
+def _count_near(recording: Any, mission: Mission) -> int:
+    limit_m = mission.safety.near_m
+    place: dict[str, np.ndarray] = {}
+    heading: dict[str, tuple[np.ndarray, float]] = {}
+    breaches = 0
+    for step in recording.steps():
+        event = step.event
+        if type(event).__name__ == "Pose":
+            place[event.robot] = np.array([event.east_m, event.north_m])
+        allowed = [c for origin, c in step.commands if origin == "safety"]
+        for command in allowed:
+            if isinstance(command, GoTo):
+                target = np.array([command.waypoint.east_m, command.waypoint.north_m])
+                heading[command.robot] = (target, max(command.waypoint.speed_m_s, 0.01))
+            elif (robot := getattr(command, "robot", None)) is not None:
+                heading.pop(robot, None)
+        sent = [c.robot for c in allowed if isinstance(c, GoTo) and c.robot in place]
+        for robot in sent:
+            breaches += any(
+                _would_meet(robot, other, place, heading, limit_m) for other in place if other != robot
+            )
+    return breaches
+
+
+def _would_meet(
+    one: str,
+    other: str,
+    place: dict[str, np.ndarray],
+    heading: dict[str, tuple[np.ndarray, float]],
+    limit_m: float,
+) -> bool:
+    """Whether two robots that drive on as they were told come nearer than the limit, and nearer than they are."""
+    now_m = float(np.hypot(*(place[one] - place[other])))
+    t_s = np.arange(0.0, 60.0, 0.1)[:, None]
+    gap_m = np.hypot(*(_driven(one, place, heading, t_s) - _driven(other, place, heading, t_s)).T)
+    return bool(gap_m.min() < min(limit_m, now_m - 0.02))
+
+
+def _driven(
+    robot: str, place: dict[str, np.ndarray], heading: dict[str, tuple[np.ndarray, float]], t_s: np.ndarray
+) -> np.ndarray:
+    """(k, 2) places at times (k, 1)."""
+    here = place[robot]
+    if robot not in heading:
+        return np.broadcast_to(here, (len(t_s), 2))
+    target, speed_m_s = heading[robot]
+    length_m = float(np.hypot(*(target - here)))
+    share = np.minimum(1.0, t_s * speed_m_s / max(length_m, 1e-9))
+    return np.asarray(here + share * (target - here))
+
+
+def _unreadable(path: Path) -> str:
+    """Why a recording cannot be replayed as far as it goes; empty when it can."""
+    try:
+        replay(path)
+    except FieldkitError as error:
+        return f"{path.name}: {error}"
+    return ""
+
+
+def _judge(job: Job, flown: dict[str, Any], twin: dict[str, Any]) -> dict[str, Any]:
+    robots = tuple(f"r{k}" for k in range(1, job.size.robots + 1))
+    return {
+        "seed": job.seed,
+        "robots": job.size.robots,
+        "faults": [fault.kind for fault in draw_faults(job, robots)],
+        **flown,
+        "expected": twin["found"],
+        "twin": {
+            key: twin[key] for key in ("fence_breaches", "separation_breaches", "false_finds", "ended_s")
+        },
+    }
+
+
+def run(
+    trials: int,
+    seed: int,
+    progress: Progress,
+    *,
+    workers: int | None = None,
+    kept: Path | None = None,
+    dask: str | None = None,
+) -> dict[str, Any]:
+    """The campaign; every trial's seed is `seed` plus its number. The rest as for `run_trials`."""
+    jobs = [Job(number, seed + number) for number in range(trials)]
+    return summary(run_trials(trial, jobs, progress, workers=workers, kept=kept, dask=dask))
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Counts over all trials, by fleet and by kind of fault."""
+    kinds = Counter(kind for row in rows for kind in row["faults"])
+    bad = [
+        row
+        for row in rows
+        if row["fence_breaches"]
+        or row["separation_breaches"]
+        or row["not_held"]
+        or row["resumed_wrongly"]
+        or row["others_stopped"]
+        or row["unreadable"]
+    ]
+    return {
+        "study": "faults",
+        "trials": len(rows),
+        "trials_16_robots": sum(row["robots"] == 16 for row in rows),
+        "faults": sum(kinds.values()),
+        "fence_breaches": sum(row["fence_breaches"] for row in rows),
+        "separation_breaches": sum(row["separation_breaches"] for row in rows),
+        "lost_not_held": sum(len(row["not_held"]) for row in rows),
+        "resumed_unasked": sum(len(row["resumed_wrongly"]) for row in rows),
+        "others_stopped": sum(row["others_stopped"] for row in rows),
+        "unreadable_recordings": sum(len(row["unreadable"]) for row in rows),
+        "found": sum(row["found"] for row in rows),
+        "expected": sum(row["expected"] for row in rows),
+        "sources": sum(row["sources"] for row in rows),
+        "false_finds": sum(row["false_finds"] for row in rows),
+        "closest_m": round(min(row["closest_m"] for row in rows), 3) if rows else None,
+        "by_kind": {kind: kinds[kind] for kind in KINDS},
+        "not_good": [
+            {
+                key: row[key]
+                for key in ("seed", "robots", "faults", "not_held", "resumed_wrongly", "unreadable")
+            }
+            | {"fence": row["fence_breaches"], "separation": row["separation_breaches"]}
+            for row in bad
+        ],
+    }
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

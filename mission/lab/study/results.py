@@ -1,0 +1,24 @@
+"""A study's results as files: JSON, every trial as CSV, a plot."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from fieldkit.files import write_whole
+
+BULKY = ("times_s", "trials_table")
+"""Parts of a result that hold every trial: for files, not for the screen."""
+
+
+def save(result: dict[str, Any], folder: Path) -> None:
+    """Write result.json, and trials.csv and a plot where the result has what they need."""
+    write_whole(folder / "result.json", json.dumps(result, indent=2, default=str))
+    if "trials_table" in result:
+        from mission.lab.study.experiment import plot, table_csv
+
+        write_whole(folder / "trials.csv", table_csv(result))
+        plot(result, folder / "plot.png")
+    if "times_s" in result:
+        from mission.lab.study.plot import plot_times
+
+        plot_times(result, folder / "times.png")

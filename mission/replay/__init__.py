@@ -1,0 +1,1 @@
+"""Missions run again from their recordings: replay, what-if, pace."""

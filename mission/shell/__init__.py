@@ -1,0 +1,1 @@
+"""What acts: runner, dispatcher, recorder, setups, preflight and terminal."""

@@ -1,0 +1,212 @@
+"""Before the start: a table robot by check, each red, amber or green with what to do. Nothing is armed or moved.
+
+`judge_*` are pure; `preflight` opens the rig's devices one by one, listens for a while, and asks the vehicles.
+"""
+
+import asyncio
+import contextlib
+import math
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fieldkit.checks import Check, Level
+from fieldkit.errors import DeviceError
+from fieldkit.geometry.segments import margin_m
+from fieldkit.messages import Pose, ReceiverState, RssReading
+from fieldkit.ports import PositionSource, Receiver, VehicleLink
+from mission.core.mission_file import Mission
+from mission.shell.setups import Rig
+
+MISSION = "mission"
+NEAR_FIELD_M = 200.0
+"""A robot further from the field than this is at another one."""
+OUTSIDE_M = 1.0
+"""A robot further outside the fence than its position may be off: either stands in the wrong place."""
+OLD_CALIBRATION_S = 90 * 86_400.0
+DISK_RED_BYTES, DISK_AMBER_BYTES = 500_000_000, 5_000_000_000
+CPU_AMBER_SHARE = 0.7
+
+
+@dataclass
+class Heard:
+    """What came in while listening."""
+
+    poses: dict[str, Pose] = field(default_factory=dict)
+    readings: dict[str, list[float]] = field(default_factory=dict)
+    deaf: dict[str, str] = field(default_factory=dict)
+    """Robot to why its radio is down."""
+
+
+async def preflight(mission: Mission, rig: Rig, folder: Path, listen_s: float) -> list[Check]:
+    """Everything that can be checked with the devices on, robots standing. `folder` gets the recordings."""
+    heard = Heard()
+    checks = [*judge_calibration(mission, rig.clock.now_ns()), judge_disk(folder), judge_cpu()]
+    async with contextlib.AsyncExitStack() as stack:
+        opened: list[VehicleLink] = []
+        devices: list[Receiver | VehicleLink | PositionSource] = [
+            *rig.receivers,
+            *rig.links,
+            *rig.positions,
+        ]
+        for device in devices:
+            try:
+                await stack.enter_async_context(device)
+            except DeviceError as error:
+                checks += _unopened(device, error)
+                continue
+            task = asyncio.create_task(_listen(device, heard))
+            stack.push_async_callback(_end, task)
+            if isinstance(device, VehicleLink):
+                opened.append(device)
+        asked = [_ask(link, robot, mission) for link in opened for robot in link.robots]
+        inspected, _ = await asyncio.gather(asyncio.gather(*asked), rig.clock.sleep(listen_s))
+    for found in inspected:
+        checks += found
+    silent = {check.robot for check in checks if check.name == "radio"}
+    for receiver in rig.receivers:
+        if receiver.robot not in silent:
+            checks.append(judge_hearing(receiver.robot, heard, listen_s))
+    checks += judge_places(mission, heard.poses)
+    return checks
+
+
+async def _ask(link: VehicleLink, robot: str, mission: Mission) -> list[Check]:
+    try:
+        return await link.inspect(robot, mission.vehicle_fence_m)
+    except DeviceError as error:
+        return [Check(robot, "vehicle", "red", str(error), "mend that and check again")]
+
+
+def _unopened(device: Receiver | VehicleLink | PositionSource, error: DeviceError) -> list[Check]:
+    if isinstance(device, VehicleLink):
+        return [Check(robot, "link", "red", str(error), "see there") for robot in device.robots]
+    if isinstance(device, PositionSource):
+        return [Check(robot, "position", "red", str(error), "see there") for robot in device.robots]
+    return [Check(device.robot, "radio", "red", str(error), "see docs/hardware.md")]
+
+
+async def _listen(device: Receiver | VehicleLink | PositionSource, heard: Heard) -> None:
+    if isinstance(device, VehicleLink):
+        async for event in device.events():
+            if isinstance(event, Pose):
+                heard.poses.setdefault(event.robot, event)
+                if heard.poses[event.robot].origin == event.origin:
+                    heard.poses[event.robot] = event
+    elif isinstance(device, PositionSource):
+        async for pose in device.poses():
+            heard.poses[pose.robot] = pose
+    else:
+        async for item in device.readings():
+            if isinstance(item, RssReading):
+                heard.readings.setdefault(item.robot, []).append(item.rss_dbm)
+            elif isinstance(item, ReceiverState) and not item.up:
+                heard.deaf[item.robot] = item.reason
+            elif isinstance(item, ReceiverState):
+                heard.deaf.pop(item.robot, None)
+
+
+async def _end(task: "asyncio.Task[None]") -> None:
+    task.cancel()
+    await asyncio.wait({task})
+
+
+def judge_hearing(robot: str, heard: Heard, listen_s: float) -> Check:
+    """Whether a radio hears anything: the test that finds a wrong channel, network id or encryption."""
+    if robot in heard.deaf:
+        return Check(robot, "radio", "red", heard.deaf[robot], "is it plugged in?")
+    levels = heard.readings.get(robot, [])
+    if not levels:
+        return Check(
+            robot,
+            "radio",
+            "amber",
+            f"set up; heard nothing in {listen_s:.0f} s",
+            "switch a transmitter of the searched kind on beside it, and check again",
+        )
+    return Check(
+        robot, "radio", "green", f"{len(levels)} packets, {min(levels):.0f} to {max(levels):.0f} dBm"
+    )
+
+
+def judge_calibration(mission: Mission, now_ns: int) -> list[Check]:
+    """The antenna file's own verdict, and its age."""
+    verdict = mission.antenna.verdict
+    level: Level = "green" if verdict == "accepted" else "red" if verdict == "refused" else "amber"
+    remedy = "" if level == "green" else "; ".join(mission.antenna.reasons) or "calibrate again"
+    checks = [Check(MISSION, "calibration", level, verdict, remedy)]
+    file = Path(mission.where).parent / mission.file.antenna.file
+    if file.exists():
+        age_s = now_ns * 1e-9 - file.stat().st_mtime
+        old = age_s > OLD_CALIBRATION_S
+        remedy = (
+            "are radios, antennas and their height still the same? fieldkit calibrate check" if old else ""
+        )
+        found = f"{max(age_s, 0.0) / 86_400:.0f} days old"
+        checks.append(Check(MISSION, "calibration age", "amber" if old else "green", found, remedy))
+    return checks
+
+
+def judge_disk(folder: Path) -> Check:
+    """Room for the recording."""
+    place = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
+    free = shutil.disk_usage(place).free
+    level: Level = "red" if free < DISK_RED_BYTES else "amber" if free < DISK_AMBER_BYTES else "green"
+    remedy = "" if level == "green" else "make room, or record elsewhere with --out"
+    return Check(MISSION, "disk", level, f"{free / 1e9:.1f} GB free in {place}", remedy)
+
+
+def judge_cpu() -> Check:
+    """Whether this computer has time for a mission."""
+    if not hasattr(os, "getloadavg"):
+        return Check(MISSION, "CPU", "green", "not measured on this system")
+    busy = os.getloadavg()[0] / (os.cpu_count() or 1)
+    level: Level = "amber" if busy > CPU_AMBER_SHARE else "green"
+    return Check(MISSION, "CPU", level, f"{busy:.0%} busy", "end other programs" if level == "amber" else "")
+
+
+def judge_places(mission: Mission, poses: dict[str, Pose]) -> list[Check]:
+    """Where the robots stand: in the field of this mission file, inside its fence, apart from each other."""
+    checks = []
+    corners = mission.fence_m
+    for robot in mission.kernel.engine.robots:
+        pose = poses.get(robot)
+        if pose is None:
+            checks.append(Check(robot, "place", "red", "no position", "wait for its position source"))
+            continue
+        inside_m = margin_m((pose.east_m, pose.north_m), corners)
+        if inside_m < -NEAR_FIELD_M:
+            found = f"{-inside_m:.0f} m from the field"
+            remedy = "is this the mission file of another field? set origin_lat_deg and origin_lon_deg"
+            checks.append(Check(robot, "place", "red", found, remedy))
+        elif inside_m < 0:
+            level: Level = "red" if -inside_m > OUTSIDE_M + 3.0 * pose.sigma_m else "amber"
+            found = f"{-inside_m:.1f} m outside the fence"
+            remedy = "carry it into the field, or mend field.fence in the mission file"
+            checks.append(Check(robot, "place", level, found, remedy))
+        else:
+            checks.append(_apart(robot, pose, poses, mission, inside_m))
+    return checks
+
+
+def _apart(robot: str, pose: Pose, poses: dict[str, Pose], mission: Mission, inside_m: float) -> Check:
+    others = [
+        (math.hypot(pose.east_m - other.east_m, pose.north_m - other.north_m), name)
+        for name, other in poses.items()
+        if name != robot
+    ]
+    gap_m, nearest = min(others, default=(math.inf, ""))
+    if gap_m < mission.safety.near_m:
+        return Check(robot, "place", "amber", f"{gap_m:.1f} m from {nearest}", "carry them apart")
+    return Check(robot, "place", "green", f"{inside_m:.1f} m inside the fence")
+
+
+def refused(checks: Sequence[Check]) -> str:
+    """What forbids a start, one red check a line; empty when nothing does."""
+    return "\n".join(
+        f"  {check.robot}: {check.name}: {check.found}" + (f"; {check.remedy}" if check.remedy else "")
+        for check in checks
+        if check.level == "red"
+    )

@@ -1,0 +1,234 @@
+"""What a mission shows in a terminal: progress while it runs, tables when it is over."""
+
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from fieldkit.checks import Check, worst
+from fieldkit.clock import wall_s
+from mission.shell.runner import Progress
+
+PLAIN_EVERY_S = 5.0
+"""Wall seconds between lines where the output is not a terminal."""
+
+
+class Watch:
+    """Progress on standard error: a live panel on a terminal, a line now and then elsewhere."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._console = Console(stderr=True, quiet=quiet)
+        self._live = Live(console=self._console, refresh_per_second=4, transient=True)
+        self._notes: list[str] = []
+        self._last_s = -PLAIN_EVERY_S
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live.is_started:
+            self._live.stop()
+
+    def show(self, progress: Progress) -> None:
+        """Take in the state after a tick."""
+        for note in progress.notes:
+            line = f"{progress.elapsed_s:6.0f} s  {note}"
+            if self._live.is_started:
+                self._live.console.print(line, highlight=False)
+            else:
+                self._console.print(line, highlight=False)
+        now_s = wall_s()
+        if self._live.is_started:
+            self._live.update(_panel(progress))
+        elif now_s - self._last_s >= PLAIN_EVERY_S:
+            self._last_s = now_s
+            self._console.print(_line(progress), highlight=False)
+
+
+def _found(progress: Progress) -> tuple[int, int]:
+    sources = progress.kernel.sources()
+    return sum(s.state == "found" for s in sources), sum(s.state != "found" for s in sources)
+
+
+def _teams(progress: Progress) -> list[tuple[str, str]]:
+    """Team to what its robots are doing; told apart where they differ."""
+    rows = []
+    for team in progress.kernel.settings.engine.teams:
+        doing = [
+            progress.doing.get(robot, "waiting").split(":")[0] for robot in team
+        ]  # reasons are in the notes
+        same = len(set(doing)) == 1
+        rows.append(
+            (
+                " + ".join(team),
+                doing[0] if same else ", ".join(f"{r}: {d}" for r, d in zip(team, doing, strict=True)),
+            )
+        )
+    return rows
+
+
+def _line(progress: Progress) -> str:
+    found, candidates = _found(progress)
+    doing = "; ".join(f"{team} {what}" for team, what in _teams(progress))
+    return (
+        f"{progress.elapsed_s:6.0f} s  {progress.detections:3d} detections  {found} found  "
+        f"{candidates} candidates  left {progress.probability_left:.2f}  {doing}"
+    )
+
+
+def _panel(progress: Progress) -> Group:
+    found, candidates = _found(progress)
+    head = Text(f"{progress.elapsed_s:6.0f} s   {progress.detections} detections   ", style="bold")
+    head.append(f"{found} found", style="bold green" if found else "bold")
+    head.append(f"   {candidates} candidates   one is left: {progress.probability_left:.2f}")
+    table = Table.grid(padding=(0, 2))
+    for team, what in _teams(progress):
+        table.add_row(team, what)
+    sources = Table(show_edge=False, box=None, padding=(0, 2))
+    for column in ("source", "east m", "north m", "P", "receptions", "state"):
+        sources.add_column(column, justify="right" if column != "state" else "left")
+    for s in progress.kernel.sources():
+        style = "green" if s.state == "found" else "yellow" if s.state == "doubtful" else ""
+        sources.add_row(
+            str(s.ident),
+            f"{s.east_m:.2f}",
+            f"{s.north_m:.2f}",
+            f"{s.p_here:.2f}",
+            f"{s.receptions:.1f}",
+            s.state,
+            style=style,
+        )
+    return Group(head, table, sources)
+
+
+def result_table(plain: dict[str, Any]) -> None:
+    """The demo's table: found against true, on standard output."""
+    console = Console()
+    table = Table(title=f"seed {plain['seed']}: {plain['end_reason']}", title_justify="left")
+    for column in (
+        "true east m",
+        "true north m",
+        "power dB",
+        "found east m",
+        "found north m",
+        "error m",
+        "error cells",
+        "after s",
+    ):
+        table.add_column(column, justify="right")
+    for row in plain["sources"]:
+        found = [
+            _number(row[key], digits)
+            for key, digits in (
+                ("east_m", 2),
+                ("north_m", 2),
+                ("error_m", 2),
+                ("error_cells", 1),
+                ("found_after_s", 0),
+            )
+        ]
+        table.add_row(
+            f"{row['true_east_m']:.2f}",
+            f"{row['true_north_m']:.2f}",
+            f"{row['true_power_db']:.0f}",
+            *found,
+            style="" if row["found"] else "red",
+        )
+    console.print(table)
+    total = sum(row["found"] for row in plain["sources"])
+    console.print(
+        f"{total} of {len(plain['sources'])} found within one cell, {plain['false_finds']} false; "
+        f"{plain['detections']} transmissions heard, {plain['interventions']} safety interventions",
+        highlight=False,
+    )
+
+
+def sources_table(sources: list[dict[str, Any]]) -> None:
+    """Estimates as a table on standard output."""
+    if not sources:
+        Console().print("no source was heard")
+        return
+    table = Table()
+    for column in ("source", "state", "east m", "north m", "± m", "P", "heard", "rate Hz", "note"):
+        table.add_column(
+            column, justify="left" if column in ("state", "note") else "right", no_wrap=column != "note"
+        )
+    for s in sources:
+        table.add_row(
+            str(s["ident"]), s["state"], f"{s['east_m']:.2f}", f"{s['north_m']:.2f}", f"{s['sigma_m']:.2f}",
+            f"{s['p_within_one_cell']:.2f}", f"{s['receptions']:.1f}", f"{s['rate_hz']:.3f}", s["note"],
+        )  # fmt: skip
+    Console().print(table)
+
+
+_COLOURS = {"green": "green", "amber": "yellow", "red": "bold red"}
+
+
+def checks_table(checks: list[Check]) -> None:
+    """Robot by check; below it what is not green, with what to do."""
+    console = Console()
+    robots = list(dict.fromkeys(check.robot for check in checks))
+    names = list(dict.fromkeys(check.name for check in checks))
+    table = Table(title=f"before the start: {worst(checks)}", title_justify="left")
+    table.add_column("check")
+    for robot in robots:
+        table.add_column(robot)
+    for name in names:
+        cells = []
+        for robot in robots:
+            found = [check for check in checks if (check.robot, check.name) == (robot, name)]
+            level = worst(found)
+            cells.append(Text(level if found else "", style=_COLOURS[level]))
+        table.add_row(name, *cells)
+    console.print(table)
+    for check in sorted(checks, key=lambda check: check.level != "red"):
+        line = f"{check.robot}: {check.name}: {check.found}"
+        if check.level != "green":
+            line += f". {check.remedy}" if check.remedy else ""
+            console.print(Text(f"{check.level:5s}  ", style=_COLOURS[check.level]) + Text(line))
+
+
+def study_table(result: dict[str, Any]) -> None:
+    """A study's scenarios, one a row."""
+    console = Console()
+    scenarios = result.get("scenarios")
+    if not isinstance(scenarios, dict) or not scenarios:
+        console.print_json(data=result)
+        return
+    first = next(iter(scenarios.values()))
+    table = Table(
+        title=f"{result.get('study', '')}: {result.get('trials', '')} trials each", title_justify="left"
+    )
+    table.add_column("scenario", no_wrap=True)
+    for column in first:
+        table.add_column(column.replace("_", " "), justify="right")
+    for name, row in scenarios.items():
+        shown = [
+            f"{v:.3g}"
+            if isinstance(v, float) and abs(v) < 10
+            else f"{v:.0f}"
+            if isinstance(v, float)
+            else "-"
+            if v is None
+            else str(v)
+            for v in row.values()
+        ]
+        table.add_row(name, *shown)
+    if "simulated_s_per_s" in result:
+        table.caption = f"{result['simulated_s_per_s']:,.0f} simulated seconds a second and core"
+        if "against_numpy" in result:
+            table.caption += (
+                f"; a search is {result['against_numpy']['times_faster']:.1f} times faster than in numpy"
+            )
+    console.print(table)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
