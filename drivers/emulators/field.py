@@ -20,8 +20,12 @@ from typing import Any, Self
 
 import numpy as np
 
+from drivers.emulators.autopilot import Autopilot
+from drivers.emulators.bodies import Car, Copter
 from drivers.emulators.faults import FAULTS
-from drivers.emulators.rover import RoverAutopilot
+from drivers.emulators.profiles import COPTER
+from drivers.emulators.profiles import PROFILES as FIRMWARES
+from drivers.emulators.rover import make_autopilot
 from drivers.emulators.wires import PluggedModule, make_wire
 from drivers.emulators.xbee import PROFILES, Module
 from drivers.links import host_and_port
@@ -30,7 +34,6 @@ from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError
 from fieldkit.geo import FieldFrame
 from fieldkit.world.channel import sample_rss_dbm
-from fieldkit.world.rover import Rover
 from fieldkit.world.sources import TransientSource, Transmissions
 
 STEP_S = 0.05
@@ -51,6 +54,8 @@ class EmulatedRobot:
     east_m: float
     north_m: float
     heading_deg: float = 0.0
+    firmware: str = "rover"
+    """rover, copter or px4."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +110,10 @@ class RunningField:
     def truth(self) -> dict[str, tuple[float, float, float]]:
         """Robot to where it really is now: east, north (m), heading (deg)."""
         return self._ask("truth")
+
+    def altitude(self) -> dict[str, float]:
+        """Robot to its height above the ground now (m)."""
+        return self._ask("altitude")
 
     def counts(self) -> dict[str, Any]:
         """Transmissions per source; per robot: frames on its wire, lost ones, bytes from its host, mode."""
@@ -192,7 +201,7 @@ class _Telemetry(asyncio.DatagramProtocol):
 class _Robot:
     """One robot's devices."""
 
-    def __init__(self, autopilot: RoverAutopilot, radio: PluggedModule[Module]) -> None:
+    def __init__(self, autopilot: Autopilot, radio: PluggedModule[Module]) -> None:
         self.autopilot = autopilot
         self.radio = radio
         self.transport: asyncio.DatagramTransport | None = None
@@ -251,6 +260,13 @@ class _Faults:
     async def battery(self, robot: _Robot, percent: Any) -> None:
         robot.autopilot.battery_pct = float(percent)
 
+    async def voltage(self, robot: _Robot, volts: Any) -> None:
+        robot.autopilot.trouble.battery_v = None if volts is None else float(volts)
+
+    async def parameter(self, robot: _Robot, name_and_value: Any) -> None:
+        name, value = name_and_value
+        robot.autopilot.parameters[str(name)] = float(value)
+
     async def prearm(self, robot: _Robot, words: Any) -> None:
         robot.autopilot.trouble.prearm = str(words or "")
 
@@ -278,10 +294,18 @@ class _Field:
 
     def _make(self, robot: EmulatedRobot, rng: np.random.Generator) -> _Robot:
         spec = self._spec
-        body = Rover(robot.east_m, robot.north_m, robot.heading_deg, max_speed_m_s=spec.max_speed_m_s)
+        firmware = FIRMWARES[robot.firmware]
+        kind = Copter if firmware is COPTER else Car
+        body = kind(robot.east_m, robot.north_m, robot.heading_deg, max_speed_m_s=spec.max_speed_m_s)
         failsafe_s = max(6.5, spec.clock.rate) if spec.gcs_failsafe_s is None else spec.gcs_failsafe_s
-        autopilot = RoverAutopilot(
-            robot.system_id, body, spec.frame, rng, pose_noise_m=spec.pose_noise_m, gcs_failsafe_s=failsafe_s
+        autopilot = make_autopilot(
+            firmware,
+            robot.system_id,
+            body,
+            spec.frame,
+            rng,
+            pose_noise_m=spec.pose_noise_m,
+            gcs_failsafe_s=failsafe_s,
         )
         known = PROFILES[spec.xbee_profile]
         saturation = (
@@ -351,6 +375,8 @@ class _Field:
         if what == "truth":
             bodies = {name: robot.autopilot.body for name, robot in self._robots.items()}
             return {name: (body.east_m, body.north_m, body.heading_deg) for name, body in bodies.items()}
+        if what == "altitude":
+            return {name: robot.autopilot.body.up_m for name, robot in self._robots.items()}
         return {
             "transmissions": list(self._sent),
             "robots": {

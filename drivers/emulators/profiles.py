@@ -1,7 +1,7 @@
 """What the emulated autopilot's firmwares differ in: mode numbers, what they accept, what they are called.
 
 ArduRover and ArduCopter as measured on their simulators (4.7.0-dev); PX4 after its documentation
-(px4_custom_mode.h, docs.px4.io), not measured. The copter here flies at one height: it drives like a rover.
+(px4_custom_mode.h, docs.px4.io), not measured. Parameters are those of a vehicle set up as docs/hardware.md says.
 """
 
 from dataclasses import dataclass
@@ -28,10 +28,10 @@ class Profile:
     guided: int
     modes: frozenset[int]
     parameters: tuple[tuple[str, float], ...]
-    needs_height: bool = False
-    """Position targets without a height are dropped without a word."""
-    refuses_outside_fence: bool = False
-    """DO_REPOSITION beyond an enabled fence is answered FAILED."""
+    starts_in: int = 0
+    """The mode after a boot."""
+    blind: int = 0
+    """The mode it falls into when it does not know where it is."""
     modes_in_two_parts: bool = False
     """DO_SET_MODE gives main and sub mode as two parameters."""
     avoids_fence: bool = False
@@ -43,8 +43,19 @@ class Profile:
 _ARDUPILOT = (
     ("FS_GCS_ENABLE", 1.0),
     ("FS_GCS_TIMEOUT", 5.0),
+    ("FS_OPTIONS", 0.0),
+    ("FS_EKF_ACTION", 1.0),
+    ("FRAME_CLASS", 1.0),
     ("FENCE_ENABLE", 0.0),
+    ("FENCE_TYPE", 4.0),
+    ("FENCE_ACTION", 2.0),
+    ("FENCE_MARGIN", 2.0),
     ("BATT_FS_LOW_ACT", 2.0),
+    ("BATT_LOW_VOLT", 10.6),
+    ("BATT_LOW_MAH", 0.0),
+    ("BATT_FS_CRT_ACT", 0.0),
+    ("BATT_CRT_VOLT", 0.0),
+    ("BATT_CRT_MAH", 0.0),
     ("MAV_GCS_SYSID", 245.0),
 )
 ROVER = Profile(
@@ -57,7 +68,18 @@ ROVER = Profile(
     home=(11, 12),
     guided=15,
     modes=frozenset({0, 1, 3, 4, 5, 6, 7, 10, 11, 12, 15}),
-    parameters=(*_ARDUPILOT, ("FS_ACTION", 2.0), ("AVOID_ENABLE", 3.0)),
+    parameters=(
+        *_ARDUPILOT,
+        ("FS_ACTION", 2.0),
+        ("FS_TIMEOUT", 1.5),
+        ("AVOID_ENABLE", 3.0),
+        ("WP_SPEED", 0.0),
+        ("RTL_SPEED", 0.0),
+        ("WP_RADIUS", 2.0),
+        ("TURN_RADIUS", 0.9),
+    ),
+    starts_in=4,
+    blind=4,
     avoids_fence=True,
 )
 COPTER = Profile(
@@ -70,9 +92,16 @@ COPTER = Profile(
     home=(6, 21),
     guided=4,
     modes=frozenset({0, 2, 3, 4, 5, 6, 9, 16, 17, 21}),
-    parameters=_ARDUPILOT,
-    needs_height=True,
-    refuses_outside_fence=True,
+    parameters=(
+        *(each for each in _ARDUPILOT if each[0] != "FS_GCS_ENABLE"),
+        ("FS_GCS_ENABLE", 5.0),
+        ("WPNAV_SPEED", 0.0),
+        ("WPNAV_RADIUS", 200.0),
+        ("RTL_SPEED", 0.0),
+        ("RTL_ALT", 1500.0),
+    ),
+    starts_in=0,
+    blind=9,
     pauses=True,
 )
 PX4 = Profile(
@@ -85,7 +114,18 @@ PX4 = Profile(
     home=(px4_mode(4, 5),),
     guided=px4_mode(4, 3),
     modes=frozenset({px4_mode(1), px4_mode(3), px4_mode(4, 3), px4_mode(4, 4), px4_mode(4, 5)}),
-    parameters=(("NAV_DLL_ACT", 1.0), ("COM_DL_LOSS_T", 10.0), ("COM_LOW_BAT_ACT", 2.0)),
+    parameters=(
+        ("NAV_DLL_ACT", 1.0),
+        ("COM_DL_LOSS_T", 10.0),
+        ("NAV_RCL_ACT", 1.0),
+        ("GF_ACTION", 2.0),
+        ("COM_LOW_BAT_ACT", 2.0),
+        ("RTL_RETURN_ALT", 30.0),
+        ("MPC_XY_CRUISE", 0.0),
+        ("NAV_ACC_RAD", 0.1),
+    ),
+    starts_in=px4_mode(4, 3),
+    blind=px4_mode(4, 3),
     modes_in_two_parts=True,
 )
 PROFILES = {profile.name: profile for profile in (ROVER, COPTER, PX4)}

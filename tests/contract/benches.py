@@ -15,9 +15,12 @@ from typing import Any
 import numpy as np
 
 from drivers.camera.source import open_camera
+from drivers.emulators.autopilot import Autopilot
+from drivers.emulators.bodies import Car
 from drivers.emulators.camera import PictureServer, Scene, Shown, still, write_calibration
 from drivers.emulators.capture import PipeSniffer
-from drivers.emulators.rover import RoverAutopilot
+from drivers.emulators.profiles import ROVER, Profile
+from drivers.emulators.rover import make_autopilot
 from drivers.emulators.sniffers import NrfDongle, TiDongle
 from drivers.emulators.wires import Device, PluggedModule, PtyWire, TcpWire, Wire
 from drivers.emulators.xbee import Module
@@ -30,7 +33,6 @@ from fieldkit.clock import Clock, RealClock, ScaledClock
 from fieldkit.geo import FieldFrame
 from fieldkit.ports import ReceiverFactory, Surroundings
 from fieldkit.testing import PositionSourceBench, ReceiverBench, VehicleLinkBench
-from fieldkit.world.rover import Rover
 
 FRAME = FieldFrame(47.3977, 8.5456, 400.0)
 
@@ -166,7 +168,7 @@ def free_udp_port() -> int:
 class RoverOnUdp(asyncio.DatagramProtocol):
     """An emulated rover on a socket of its own, stepped by a task, in the test's loop."""
 
-    def __init__(self, autopilot: RoverAutopilot, clock: ScaledClock) -> None:
+    def __init__(self, autopilot: Autopilot, clock: ScaledClock) -> None:
         self.autopilot = autopilot
         self.clock = clock
         self.silenced = False
@@ -201,13 +203,17 @@ class RoverOnUdp(asyncio.DatagramProtocol):
 
 @asynccontextmanager
 async def rovers_on_udp(
-    starts_m: dict[int, tuple[float, float]], clock: ScaledClock, port: int, **options: Any
+    starts_m: dict[int, tuple[float, float]],
+    clock: ScaledClock,
+    port: int,
+    profile: Profile = ROVER,
+    **options: Any,
 ) -> AsyncIterator[list[RoverOnUdp]]:
-    """Emulated rovers by system id, sending to a local port."""
+    """Emulated vehicles by system id, sending to a local port."""
     loop, rovers, tasks = asyncio.get_running_loop(), [], []
     for system_id, (east_m, north_m) in starts_m.items():
-        body = Rover(east_m, north_m, max_speed_m_s=1.0)
-        autopilot = RoverAutopilot(system_id, body, FRAME, np.random.default_rng(system_id), **options)
+        body, rng = Car(east_m, north_m, max_speed_m_s=1.0), np.random.default_rng(system_id)
+        autopilot = make_autopilot(profile, system_id, body, FRAME, rng, **options)
         rover = RoverOnUdp(autopilot, clock)
         await loop.create_datagram_endpoint(lambda rover=rover: rover, remote_addr=("127.0.0.1", port))
         rovers.append(rover)

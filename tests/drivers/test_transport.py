@@ -8,15 +8,15 @@ import tty
 import numpy as np
 from benches import FRAME, around, until
 
+from drivers.emulators.bodies import Car
 from drivers.emulators.rover import RoverAutopilot
 from drivers.mavlink.fleet import open_link
 from fieldkit.clock import ScaledClock
 from fieldkit.testing import nothing_left
-from fieldkit.world.rover import Rover
 
 
 def autopilot():
-    return RoverAutopilot(1, Rover(0.0, 0.0), FRAME, np.random.default_rng(1))
+    return RoverAutopilot(1, Car(0.0, 0.0), FRAME, np.random.default_rng(1))
 
 
 class TcpVehicle:
