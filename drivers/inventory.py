@@ -136,7 +136,7 @@ def _summary(vehicle: Vehicle) -> dict[str, Any]:
         "has_position": vehicle.position_s > float("-inf"),
         "address": str(vehicle.peer),
         "two_with_this_id": bool(vehicle.doubles),
-        "texts": [text for _, text in vehicle.texts][-3:],
+        "texts": [text for _, text, _ in vehicle.texts][-3:],
     }
 
 

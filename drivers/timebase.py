@@ -3,12 +3,19 @@
 Every message arrives late by the link's delay, so arrival minus boot time is the offset plus a delay that is
 never negative: the smallest difference of the last minute is nearest to the truth. A window, because the
 device's crystal drifts (20 ppm is 1.2 ms a minute).
+
+A device that froze and goes on has a clock that stood still, which looks like a link that has become slow.
+Messages alone cannot tell the two apart: `in_doubt` asks for a round trip, `learn` takes its result.
 """
 
 from collections import deque
 
 BUCKET_NS = 5_000_000_000
 BUCKETS = 12
+DOUBT_NS = 1_000_000_000
+"""So much later than the best of the last minute, time after time, and the clock is in doubt."""
+DOUBTFUL = 5
+"""Messages in a row that must be late by so much."""
 
 
 class TimeBase:
@@ -17,6 +24,7 @@ class TimeBase:
     def __init__(self) -> None:
         self._buckets: deque[tuple[int, int]] = deque(maxlen=BUCKETS)
         """(bucket number, smallest difference in it)."""
+        self._late = 0
 
     def heard(self, boot_ns: int, arrival_ns: int) -> int:
         """Mission time at which a message stamped `boot_ns`, now arrived, was made."""
@@ -25,8 +33,21 @@ class TimeBase:
             self._buckets[-1] = (number, min(difference, self._buckets[-1][1]))
         else:
             self._buckets.append((number, difference))
-        return boot_ns + min(smallest for _, smallest in self._buckets)
+        smallest = min(smallest for _, smallest in self._buckets)
+        self._late = self._late + 1 if difference - smallest > DOUBT_NS else 0
+        return boot_ns + smallest
+
+    @property
+    def in_doubt(self) -> bool:
+        """The last messages were all late by more than `DOUBT_NS`: a slow link, or a clock that stood still."""
+        return self._late >= DOUBTFUL
+
+    def learn(self, offset_ns: int, now_ns: int) -> None:
+        """A round trip has told the offset (mission time minus boot time): what was known before is forgotten."""
+        self.clear()
+        self._buckets.append((now_ns // BUCKET_NS, offset_ns))
 
     def clear(self) -> None:
         """Forget: the device has restarted."""
         self._buckets.clear()
+        self._late = 0

@@ -60,7 +60,7 @@ class Pose:
 
 
 #: What a vehicle is doing, in our words; `other` is any mode in which we do not own it.
-VehicleMode = Literal["guided", "hold", "return", "other", "unknown"]
+VehicleMode = Literal["guided", "hold", "return", "land", "other", "unknown"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +75,15 @@ class VehicleState:
     battery_pct: float | None = None
     text: str = ""
     """The vehicle's last status text or the reason for the link's state."""
+    battery_v: float | None = None
+    speed_m_s: float | None = None
+    """Measured over ground."""
+    flies: bool = False
+    """It leaves the ground: it needs an altitude, and stops in the air."""
+    on_ground: bool | None = None
+    """Of one that flies: whether it says that it stands; None where it does not say."""
+    reason: str = ""
+    """Why it is not ours to steer, where it was and is no longer; never the vehicle's chatter."""
 
 
 @dataclass(frozen=True, slots=True)

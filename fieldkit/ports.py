@@ -3,6 +3,7 @@
 A driver is opened with `async with` and closed even when cancelled. Closing twice is harmless.
 """
 
+import math
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
@@ -22,6 +23,47 @@ class Surroundings:
     frame: FieldFrame
     tap: Callable[[str, bytes], None] | None = None
     """Told the name of a radio's link and what came over it, in whatever thread read it; None: nobody records it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Demands:
+    """What a mission asks of a vehicle: `VehicleLink.inspect` judges by it."""
+
+    max_speed_m_s: float = math.inf
+    fence_m: tuple[tuple[float, float], ...] = ()
+    """Corners (east, north) of what a fence of the vehicle's own must be; empty: none is needed."""
+    put_fence: bool = False
+    """`fence_m` is in the vehicle: the mission has had it put there, and relies on it."""
+    field_m: tuple[tuple[float, float], ...] = ()
+    """Corners of where the mission drives; a fence of the vehicle's own must leave room for that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """How a vehicle moves, read from itself; None where it does not say."""
+
+    flies: bool = False
+    arrive_m: float | None = None
+    """Its own way-point radius."""
+    turn_radius_m: float | None = None
+    speed_m_s: float | None = None
+    """What it drives at where nobody tells it."""
+    return_m_s: float | None = None
+    """On its own way home."""
+    return_up_m: float | None = None
+    """The altitude at which it returns."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredFence:
+    """A vehicle's fence as it was before a mission changed it: what `put_fence` gives and `restore_fence` takes.
+
+    `items` are rows of command, latitude and longitude in degrees times 1e7, altitude, four parameters.
+    """
+
+    robot: str
+    enabled: float | None
+    items: tuple[tuple[float, ...], ...] = ()
 
 
 class _Opened(Protocol):
@@ -70,27 +112,66 @@ class VehicleLink(_Opened, Protocol):
         """
         ...
 
-    async def inspect(self, robot: str, fence_m: Sequence[tuple[float, float]] = ()) -> list[Check]:
-        """Whether the vehicle is fit for a mission, its own failsafes first. Nothing is armed, nothing moves.
+    async def inspect(self, robot: str, demands: Demands = Demands()) -> list[Check]:
+        """Whether the vehicle is fit for a mission, its own failsafes first. Nothing is armed, moved or changed."""
+        ...
 
-        With `fence_m` (corners east, north) that is put into the vehicle as its own fence, and read back.
+    async def traits(self, robot: str) -> Traits:
+        """How the vehicle moves, read from itself. Raises `DeviceTimeout` where it is not heard."""
+        ...
+
+    async def put_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> StoredFence:
+        """Put corners (east, north) into the vehicle as its own fence and enable it; what was there before.
+
+        Raises `VehicleRefused` or `DeviceTimeout`.
         """
+        ...
+
+    async def restore_fence(self, stored: StoredFence) -> None:
+        """Put back what `put_fence` took away. Raises `VehicleRefused` or `DeviceTimeout`."""
         ...
 
     def release(self, robot: str) -> None:
         """Give the vehicle up to whoever steers it next: nothing more is sent to it, until `take_over`."""
         ...
 
-    async def goto(self, robot: str, waypoint: Waypoint) -> None:
-        """Send one way-point and have it acknowledged. Raises `VehicleRefused` or `DeviceTimeout`."""
+    def stop(self, robot: str) -> None:
+        """Tell the vehicle to hold, now: the first frame has left when this returns, and it is repeated.
+
+        Nothing is waited for and nothing raised: `hold` says whether it was done. Needs no ownership.
+        """
         ...
 
     async def hold(self, robot: str) -> None:
-        """Stop the vehicle; returns when the vehicle itself says it holds. Raises `DeviceTimeout`."""
+        """`stop`, and return when the vehicle itself says it holds. Raises `DeviceTimeout`.
+
+        Given up or cancelled, the hold is repeated all the same, until another order takes its place.
+        """
+        ...
+
+    async def take_off(self, robot: str, up_m: float) -> None:
+        """Climb to an altitude above home; returns when it is there. The vehicle is taken over and armed already.
+
+        Raises `VehicleRefused` (also where it does not fly) or `DeviceTimeout`.
+        """
+        ...
+
+    async def goto(self, robot: str, waypoint: Waypoint) -> None:
+        """Send one way-point and have it acknowledged. Raises `VehicleRefused` or `DeviceTimeout`.
+
+        One that flies goes to `up_m` above its home, and refuses to where it would touch the ground.
+        """
         ...
 
     async def return_home(self, robot: str) -> None:
         """Send the vehicle home by its own means. Raises `VehicleRefused` or `DeviceTimeout`."""
+        ...
+
+    async def land(self, robot: str) -> None:
+        """Have one that flies land where it is; returns when it shows that it does. It disarms itself once down.
+
+        Raises `VehicleRefused` or `DeviceTimeout`.
+        """
         ...
 
 

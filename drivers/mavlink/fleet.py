@@ -1,34 +1,37 @@
-"""The vehicles on one MAVLink link as a `VehicleLink`: heartbeat, take-over, steered, hold, return."""
+"""The vehicles on one MAVLink link as a `VehicleLink`: what comes in, what goes out, and who is asked for what.
+
+Orders are `orders`' business, longer conversations `talks`'.
+"""
 
 import asyncio
 import contextlib
 import logging
 import math
 import zlib
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from drivers.handover import Handover
-from drivers.mavlink import inspect, parameters, timesync
+from drivers.mavlink import inspect, timesync
 from drivers.mavlink.codec import AUTOPILOT, GROUND_STATION, Message, Packer, Parser, mavlink
 from drivers.mavlink.commands import Commander
-from drivers.mavlink.modes import PX4, set_mode
-from drivers.mavlink.orders import Orders
-from drivers.mavlink.plans import FENCE, KINDS, Inbox, PlanItem, PlanTalk, polygon_fence
+from drivers.mavlink.orders import HOLD_EVERY_S, Orders
+from drivers.mavlink.plans import FENCE, PlanItem
 from drivers.mavlink.signing import Signer, read_key
-from drivers.mavlink.steered import RATES_HZ, Steered, interval, refuse_double, reposition
+from drivers.mavlink.steered import Steered, reposition
+from drivers.mavlink.talks import Talks
 from drivers.mavlink.tapped import TappedTransport
-from drivers.mavlink.transport import Peer, make_transport
+from drivers.mavlink.transport import Copy, Peer, make_transport
 from drivers.mavlink.vehicle import Vehicle
 from drivers.options import checked
 from fieldkit.checks import Check
 from fieldkit.clock import Clock
-from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout, VehicleRefused
+from fieldkit.errors import ConfigError, VehicleRefused
 from fieldkit.messages import Pose, VehicleState, Waypoint
-from fieldkit.ports import Surroundings
+from fieldkit.ports import Demands, StoredFence, Surroundings, Traits
 
 logger = logging.getLogger(__name__)
 
@@ -39,11 +42,8 @@ MAX_PEERS = 64
 HOUSEKEEPING_S = 0.5
 POSITION_STALE_S = 2.0
 RIVAL_S = 10.0
-UNSIGNED_TRIES = 3
 REFUSED_MANY = 20
 """Frames refused before the operator is told: some seconds of one vehicle."""
-SETTLE_S = 2.5
-"""How long a vehicle has to say everything that was asked for once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +57,8 @@ class RobotOptions:
     """Our system id on this link; the vehicles must accept it (MAV_GCS_SYSID)."""
     signing_key: str = ""
     """Path of the link's signing key; empty: nothing is signed."""
+    forward: str = ""
+    """host:port to which everything that the vehicles send is copied over UDP: for a rehearsal's radios, or a map."""
 
 
 def open_link(address: str, robots: Mapping[str, Mapping[str, Any]], around: Surroundings) -> "MavlinkLink":
@@ -76,14 +78,15 @@ class MavlinkLink:
             name: checked(RobotOptions, given, f"vehicle of {name} (mavlink)")
             for name, given in robots.items()
         }
-        shared = {(option.own_system_id, option.signing_key) for option in options.values()} or {
-            (SYSTEM_ID, "")
-        }
+        shared = {
+            (option.own_system_id, option.signing_key, option.forward) for option in options.values()
+        } or {(SYSTEM_ID, "", "")}
         if len(shared) > 1:
             raise ConfigError(
-                f"vehicle link {address}: robots on one link disagree on 'own_system_id' or 'signing_key'"
+                f"vehicle link {address}: robots on one link disagree on 'own_system_id', 'signing_key' or 'forward'"
             )
-        ((self._own_id, key_path),) = shared
+        ((self._own_id, key_path, forward),) = shared
+        self._copy = Copy(forward) if forward else None
         self._signer = _signer(key_path, address, self._clock) if key_path else None
         self._steered: dict[int, Steered] = {}
         for name, option in options.items():
@@ -92,6 +95,9 @@ class MavlinkLink:
         self._parsers: dict[Peer, Parser] = {}
         self._commander = Commander(self._clock, self._own_id, self._send)
         self._orders = Orders(self._commander, self._clock, self._frame, self.beat, address)
+        self._talks = Talks(
+            self._clock, self._frame, self._own_id, self._commander, self._send, self._send_raw
+        )
         transport = make_transport(address)
         self._transport = transport if around.tap is None else TappedTransport(transport, address, around.tap)
         self._is_open = False
@@ -110,13 +116,18 @@ class MavlinkLink:
                 "give each its own (MAV_SYSID or SYSID_THISMAV on the vehicle)"
             )
         vehicle = Vehicle(name, option.system_id, self._frame, option.sigma_m)
-        self._steered[option.system_id] = Steered(vehicle, asyncio.Lock())
+        self._steered[option.system_id] = Steered(vehicle)
 
     async def __aenter__(self) -> Self:
         self._out: Handover[Pose | VehicleState] = Handover(limit=20_000)
+        if self._copy is not None:
+            self._copy.open()
         await self._transport.open(self._on_data)
         self._is_open = True
-        self._housekeeper = asyncio.create_task(self._keep_house(), name=f"mavlink-{self._address}")
+        self._tasks = [
+            asyncio.create_task(work, name=f"mavlink-{self._address}")
+            for work in (self._keep_house(), self._keep_holding())
+        ]
         return self
 
     async def __aexit__(
@@ -125,10 +136,13 @@ class MavlinkLink:
         if not self._is_open:
             return
         self._is_open = False
-        self._housekeeper.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await self._housekeeper
+        for task in self._tasks:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
         await self._transport.close()
+        if self._copy is not None:
+            self._copy.close()
         if self._signer is not None:
             self._signer.close()
         self._out.close()
@@ -141,6 +155,8 @@ class MavlinkLink:
     # What comes in
 
     def _on_data(self, data: bytes, peer: Peer) -> None:
+        if self._copy is not None:
+            self._copy.send(data)
         parser = self._parsers.get(peer)
         if parser is None:
             if len(self._parsers) >= MAX_PEERS:
@@ -157,12 +173,15 @@ class MavlinkLink:
             if message.get_type() == "COMMAND_ACK":
                 self._commander.heard(message, message.get_srcSystem())
                 continue
+            if message.get_type() == "TIMESYNC" and message.ts1 == steered.time_asked and message.tc1:
+                steered.time_asked = None
+                steered.vehicle.clock_measured(message.ts1, message.tc1, now_ns)
             for inbox in steered.inboxes:
                 if message.get_type() in inbox.kinds:
                     inbox.put(message)
             self._put(steered.vehicle.heard(message, peer, now_s, now_ns))
             if message.get_type() == "HEARTBEAT":
-                self._orders.heartbeat()
+                self._orders.heartbeat(steered)
 
     def _put(self, happenings: list[Pose | VehicleState]) -> None:
         for item in happenings:
@@ -172,8 +191,12 @@ class MavlinkLink:
 
     def _send(self, vehicle: Vehicle, message: Message) -> None:
         """To the vehicle's own address, and to any impostor's when it matters: a hold must reach both."""
+        self._send_raw(vehicle, self._packer.pack(message))
+
+    def _send_raw(self, vehicle: Vehicle, data: bytes) -> None:
+        if not self._is_open:
+            return
         peer = vehicle.peer if vehicle.peer is not None else self._transport.default_peer
-        data = self._packer.pack(message)
         for address in {peer, *vehicle.doubles} - {None}:
             self._transport.send(data, address)
 
@@ -209,7 +232,14 @@ class MavlinkLink:
                     self._put(steered.vehicle.passed(now_s, now_ns))
                 self._ask_rates(steered, now_s)
                 self._watch_target(steered, now_s)
-                self._hold_on(steered)
+                self._settle_clock(steered, now_ns)
+
+    async def _keep_holding(self) -> None:
+        """Holds are repeated beside everything else, whoever asked for them and whether or not he still waits."""
+        while True:
+            await self._clock.sleep(HOLD_EVERY_S)
+            for steered in self._steered.values():
+                self._orders.repeat_hold(steered)
 
     def _hears_only_what_it_refuses(self) -> bool:
         """A wrong key looks like a link on which nobody speaks."""
@@ -222,17 +252,13 @@ class MavlinkLink:
         stale = now_s - vehicle.position_s > POSITION_STALE_S
         if vehicle.link_up and not vehicle.doubles and stale and now_s - steered.rates_asked_s > 3.0:
             steered.rates_asked_s = now_s
-            self._ask_all_rates(vehicle)
+            self._orders.ask_rates(vehicle)
 
-    def _ask_all_rates(self, vehicle: Vehicle) -> None:
-        for number, rate_hz in RATES_HZ.items():
-            self._send(vehicle, interval(vehicle, number, rate_hz, 0))
-
-    def _hold_on(self, steered: Steered) -> None:
-        """A hold that was lost on the way is sent again, also long after whoever asked for it has given up."""
-        vehicle = steered.vehicle
-        if vehicle.firmware is not None and not steered.lock.locked() and steered.drives_on():
-            self._send(vehicle, set_mode(vehicle.system_id, vehicle.firmware, "hold", 0))
+    def _settle_clock(self, steered: Steered, now_ns: int) -> None:
+        """A vehicle that froze and goes on has an old clock; one round trip tells that from a link become slow."""
+        if steered.vehicle.clock_in_doubt and steered.vehicle.link_up:
+            steered.time_asked = now_ns // 256 * 256 + self._own_id
+            self._send(steered.vehicle, mavlink.MAVLink_timesync_message(0, steered.time_asked))
 
     def _watch_target(self, steered: Steered, now_s: float) -> None:
         """Send a way-point again if the vehicle says it is going elsewhere."""
@@ -240,7 +266,7 @@ class MavlinkLink:
             steered.resent += 1
             steered.target_s = now_s
             logger.warning("%s: goes elsewhere: sending the way-point again", steered.vehicle.robot)
-            self._send(steered.vehicle, reposition(steered.vehicle, *steered.target, steered.waypoint))
+            self._send(steered.vehicle, reposition(steered.vehicle, *steered.target, steered.waypoint.up_m))
 
     # Commands
 
@@ -252,160 +278,88 @@ class MavlinkLink:
     def release(self, robot: str) -> None:
         """Send it nothing more; whoever takes it has it."""
         steered = self._of(robot)
-        steered.stop()
-        steered.vehicle.owner = "lost"
+        steered.newer_order()
+        steered.vehicle.give_up("it was given up")
 
-    async def goto(self, robot: str, waypoint: Waypoint) -> None:
-        """DO_REPOSITION in a global frame, acknowledged; watched and sent again while under way."""
-        await self._orders.goto(self._of(robot), waypoint)
+    def stop(self, robot: str) -> None:
+        """The first frame of a hold has left when this returns; it is repeated until the vehicle shows it."""
+        self._orders.stop(self._of(robot))
 
     async def hold(self, robot: str) -> None:
         """Asked again and again until the heartbeat shows it; needs no ownership."""
         await self._orders.hold(self._of(robot))
 
+    async def take_off(self, robot: str, up_m: float) -> None:
+        """Climb to an altitude above home; returns when it is there."""
+        await self._orders.take_off(self._of(robot), up_m)
+
+    async def goto(self, robot: str, waypoint: Waypoint) -> None:
+        """DO_REPOSITION in a global frame, acknowledged; watched and sent again while under way."""
+        await self._orders.goto(self._of(robot), waypoint)
+
     async def return_home(self, robot: str) -> None:
         """The firmware's own return mode, shown by the heartbeat."""
         await self._orders.return_home(self._of(robot))
 
-    # Before a mission
+    async def land(self, robot: str) -> None:
+        """The firmware's own landing mode, shown by the heartbeat."""
+        await self._orders.land(self._of(robot))
+
+    # Before a mission, and after it
+
+    async def inspect(self, robot: str, demands: Demands = Demands()) -> list[Check]:
+        """Whether the vehicle is fit for a mission. Nothing is armed, moved or changed."""
+        steered = self._of(robot)
+        vehicle = steered.vehicle
+        self.beat()
+        await self._orders.until_heard(vehicle)
+        if not vehicle.link_up or vehicle.doubles or vehicle.firmware is None:
+            return inspect.condition(vehicle, self._clock.elapsed_s())
+        words = self._rival()
+        self._orders.ask_rates(vehicle)
+        checks = await self._talks.inspect(steered, demands, self._signer is not None)
+        if words := words or self._rival():
+            checks.append(Check(robot, "identity", "red", words, "end the other mission"))
+        return checks
+
+    async def traits(self, robot: str) -> Traits:
+        """How the vehicle moves, from its parameters."""
+        return await self._talks.traits(self._of(robot))
+
+    async def put_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> StoredFence:
+        """Put corners (east, north) into the vehicle as the fence to stay in, and enable it; what was there before."""
+        return await self._talks.put_fence(self._of(robot), corners_m)
+
+    async def restore_fence(self, stored: StoredFence) -> None:
+        """Put back what `put_fence` took away."""
+        await self._talks.restore_fence(self._of(stored.robot), stored)
 
     async def upload_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> None:
         """Put a polygon (east, north) into the vehicle as the fence it must stay in, and read it back.
 
         Whether the vehicle acts on it is for its parameters: see `parameters`.
         """
-        corners = [self._frame.to_geodetic(east_m, north_m) for east_m, north_m in corners_m]
-        await self.upload(
-            robot, FENCE, polygon_fence([(round(a * 1e7), round(o * 1e7)) for a, o, _ in corners])
-        )
+        await self.upload(robot, FENCE, self._talks.fence_of(corners_m))
 
     async def upload(self, robot: str, kind: int, items: Sequence[PlanItem]) -> None:
         """Put a mission, fence or rally points (`plans.MISSION`, `FENCE`, `RALLY`) into the vehicle."""
-        with self._talk(robot, kind) as talk:
-            await talk.upload(items)
+        await self._talks.upload(self._of(robot), kind, items)
 
     async def download(self, robot: str, kind: int) -> list[PlanItem]:
         """What the vehicle holds."""
-        with self._talk(robot, kind) as talk:
-            return await talk.download()
+        return await self._talks.download(self._of(robot), kind)
 
     async def parameters(self, robot: str, names: Sequence[str]) -> dict[str, float | None]:
         """Parameters as the vehicle has them; None where it does not answer: unknown, or a poor link."""
-        steered = self._of(robot)
-        vehicle = steered.vehicle
-        with self._inbox(steered, ("PARAM_VALUE",)) as inbox:
-            return await parameters.read(
-                lambda message: self._send(vehicle, message),
-                inbox,
-                self._clock,
-                vehicle.system_id,
-                vehicle.firmware,
-                names,
-            )
+        return await self._talks.parameters(self._of(robot), names)
 
     async def set_parameter(self, robot: str, name: str, value: float) -> bool:
         """Set a parameter; whether the vehicle says that it has it."""
-        steered = self._of(robot)
-        vehicle = steered.vehicle
-        with self._inbox(steered, ("PARAM_VALUE",)) as inbox:
-            return await parameters.write(
-                lambda message: self._send(vehicle, message),
-                inbox,
-                self._clock,
-                vehicle.system_id,
-                name,
-                value,
-            )
+        return await self._talks.set_parameter(self._of(robot), name, value)
 
     async def synchronise(self, robot: str) -> timesync.ClockOffset | None:
         """The vehicle's clock against ours, with its bound; None if it does not answer."""
-        steered = self._of(robot)
-        with self._inbox(steered, ("TIMESYNC",)) as inbox:
-            return await timesync.exchange(
-                lambda message: self._send(steered.vehicle, message), inbox, self._clock, self._own_id
-            )
-
-    async def _unsigned(self, steered: Steered) -> timesync.ClockOffset | None:
-        """Its answer to unsigned frames on a signed link: there should be none. A refusal is silence."""
-        packer, peer = Packer(self._own_id, GROUND_STATION), steered.vehicle.peer
-        with self._inbox(steered, ("TIMESYNC",)) as inbox:
-            return await timesync.exchange(
-                lambda message: self._transport.send(packer.pack(message), peer),
-                inbox,
-                self._clock,
-                self._own_id,
-                UNSIGNED_TRIES,
-            )
-
-    async def inspect(self, robot: str, fence_m: Sequence[tuple[float, float]] = ()) -> list[Check]:
-        """Whether the vehicle is fit for a mission. With `fence_m` (east, north) that fence is uploaded first.
-
-        Nothing is armed and nothing moves. The only parameter written is FENCE_ENABLE, and only with a fence.
-        """
-        steered = self._of(robot)
-        vehicle = steered.vehicle
-        self.beat()
-        await self._orders.until_heard(vehicle)
-        checks = inspect.condition(vehicle, self._clock.elapsed_s())
-        if not vehicle.link_up or vehicle.doubles or vehicle.firmware is None:
-            return checks
-        self._ask_all_rates(vehicle)
-        values = await self.parameters(robot, inspect.NAMES[vehicle.firmware])
-        await self._clock.sleep(SETTLE_S)
-        checks = inspect.condition(vehicle, self._clock.elapsed_s())
-        if vehicle.doubles:
-            return checks
-        if words := self._rival():
-            checks.append(Check(robot, "identity", "red", words, "end the other mission"))
-        checks += inspect.failsafes(robot, vehicle.firmware, values, self._own_id)
-        if fence_m:
-            checks.append(await self._put_fence(robot, fence_m))
-        offset = await self.synchronise(robot)
-        checks.append(inspect.clock(robot, offset))
-        checks += inspect.time_of_day(vehicle, self._signer is not None)
-        if self._signer is not None:
-            checks.append(inspect.signing(robot, offset, await self._unsigned(steered)))
-        return checks
-
-    async def _put_fence(self, robot: str, fence_m: Sequence[tuple[float, float]]) -> Check:
-        try:
-            await self.upload_fence(robot, fence_m)
-        except DeviceError as error:
-            return Check(robot, "fence", "red", str(error), "try again; is another ground station uploading?")
-        if self._of(robot).vehicle.firmware is PX4:
-            return Check(robot, "fence", "green", f"{len(fence_m)} corners, read back")
-        if not await self.set_parameter(robot, "FENCE_ENABLE", 1.0):
-            return Check(
-                robot, "fence", "amber", "uploaded, but FENCE_ENABLE stays off", "set FENCE_ENABLE 1"
-            )
-        return Check(robot, "fence", "green", f"{len(fence_m)} corners, read back and enabled")
-
-    @contextlib.contextmanager
-    def _talk(self, robot: str, kind: int) -> Iterator[PlanTalk]:
-        steered = self._of(robot)
-        vehicle = steered.vehicle
-        if not vehicle.link_up:
-            raise DeviceTimeout(f"{robot}: its link is lost")
-        refuse_double(vehicle)
-        with self._inbox(steered, KINDS) as inbox:
-            yield PlanTalk(
-                robot,
-                vehicle.system_id,
-                kind,
-                lambda message: self._send(vehicle, message),
-                inbox,
-                self._clock,
-                self._own_id,
-            )
-
-    @contextlib.contextmanager
-    def _inbox(self, steered: Steered, kinds: Sequence[str]) -> Iterator[Inbox]:
-        inbox = Inbox(self._clock, kinds)
-        steered.inboxes.append(inbox)
-        try:
-            yield inbox
-        finally:
-            steered.inboxes.remove(inbox)
+        return await self._talks.synchronise(self._of(robot))
 
     # Guards
 

@@ -1,19 +1,14 @@
-"""Is a vehicle fit for a mission? Its failsafes, fence, position, battery, clock and link, read from itself.
+"""Is a vehicle fit for a mission? Its position, readiness to arm, battery, clock and link, from what it says.
 
-Failsafes are what stops a vehicle when everything here has died: they are read, never assumed, and never set.
-Parameter names and meanings: ardupilot.org/rover/docs/parameters.html, docs.px4.io/main/en/config/safety.html.
+What it does by itself when something fails is judged in `failsafes`.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 
-from drivers.mavlink.modes import COPTER, PX4, ROVER, Firmware
 from drivers.mavlink.timesync import ClockOffset
 from drivers.mavlink.vehicle import Vehicle
 from fieldkit.checks import Check, Level
 
-LONG_FAILSAFE_S = 10.0
 LOW_BATTERY_PCT = 50.0
 GOOD_EPH = 200
 """HDOP times 100 up to which a fix counts as good."""
@@ -25,93 +20,14 @@ BOUND_AMBER_MS = 50.0
 CLOCK_WRONG_S = 60.0
 """A vehicle's own clock runs up to a second beside GPS time; this much is a computer's that was never set."""
 
-NAMES: dict[Firmware, tuple[str, ...]] = {
-    ROVER: (
-        "FS_GCS_ENABLE", "FS_ACTION", "FS_GCS_TIMEOUT", "BATT_FS_LOW_ACT", "MAV_GCS_SYSID", "MAV_GCS_SYSID_HI",
-        "SYSID_MYGCS",
-    ),
-    COPTER: (
-        "FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "BATT_FS_LOW_ACT", "MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "SYSID_MYGCS",
-    ),
-    PX4: ("NAV_DLL_ACT", "COM_DL_LOSS_T", "COM_LOW_BAT_ACT"),
-}  # fmt: skip
-"""What to read. Firmware before ArduPilot 4.7 has SYSID_MYGCS in place of MAV_GCS_SYSID."""
 
-Values = Mapping[str, float | None]
+def condition(
+    vehicle: Vehicle, now_s: float, asked_s: float = math.inf, max_age_s: float = 2.0
+) -> list[Check]:
+    """Position, readiness to arm, battery and link, from what it says by itself. Of two nothing else is told.
 
-
-@dataclass(frozen=True, slots=True)
-class Rule:
-    """One parameter that must not be zero."""
-
-    parameter: str
-    level: Level
-    what: str
-    set_to: str
-
-
-_RULES: dict[Firmware, tuple[Rule, ...]] = {
-    ROVER: (
-        Rule("FS_GCS_ENABLE", "red", "drives on when we fall silent", "FS_GCS_ENABLE 1"),
-        Rule("FS_ACTION", "red", "does nothing in a failsafe", "FS_ACTION 2 (hold)"),
-        Rule("BATT_FS_LOW_ACT", "amber", "does nothing when its battery is low", "BATT_FS_LOW_ACT 1 or 2"),
-    ),
-    COPTER: (
-        Rule("FS_GCS_ENABLE", "red", "flies on when we fall silent", "FS_GCS_ENABLE 1"),
-        Rule("BATT_FS_LOW_ACT", "amber", "does nothing when its battery is low", "BATT_FS_LOW_ACT 2"),
-    ),
-    PX4: (
-        Rule("NAV_DLL_ACT", "red", "goes on when we fall silent", "NAV_DLL_ACT 1 (hold)"),
-        Rule("COM_LOW_BAT_ACT", "amber", "only warns when its battery is low", "COM_LOW_BAT_ACT 2"),
-    ),
-}
-
-
-def failsafes(robot: str, firmware: Firmware, values: Values, own_id: int) -> list[Check]:
-    """The vehicle's own failsafes. Red where it would not stop by itself."""
-    checks = []
-    for rule in _RULES[firmware]:
-        value = values.get(rule.parameter)
-        if value is None:
-            found, level = f"{rule.parameter} cannot be read", rule.level
-        elif value == 0:
-            found, level = f"{rule.parameter} is 0: {rule.what}", rule.level
-        else:
-            continue
-        checks.append(Check(robot, "failsafe", level, found, f"on the vehicle, set {rule.set_to}"))
-    timeout = "COM_DL_LOSS_T" if firmware is PX4 else "FS_GCS_TIMEOUT"
-    if (wait_s := values.get(timeout)) is not None and wait_s > LONG_FAILSAFE_S:
-        checks.append(
-            Check(
-                robot, "failsafe", "amber", f"waits {wait_s:g} s before its failsafe", f"set {timeout} to 5"
-            )
-        )
-    checks += _listens_to_us(robot, firmware, values, own_id)
-    return checks or [Check(robot, "failsafe", "green", "holds by itself when we fall silent")]
-
-
-def _listens_to_us(robot: str, firmware: Firmware, values: Values, own_id: int) -> list[Check]:
-    """ArduPilot's failsafe watches the heartbeat of one ground station id, or a range of them."""
-    if firmware is PX4:
-        return []
-    low, high = values.get("MAV_GCS_SYSID"), values.get("MAV_GCS_SYSID_HI")
-    name = "MAV_GCS_SYSID"
-    if low is None:
-        low, high, name = values.get("SYSID_MYGCS"), None, "SYSID_MYGCS"
-    if low is None:
-        return []
-    if low == own_id or (high is not None and low <= own_id <= high):
-        return []
-    found = f"{name} is {low:g}, we are {own_id}: its failsafe does not watch for us"
-    return [
-        Check(
-            robot, "failsafe", "red", found, f"set {name} to {own_id}, or own_system_id in the mission file"
-        )
-    ]
-
-
-def condition(vehicle: Vehicle, now_s: float, max_age_s: float = 2.0) -> list[Check]:
-    """Position, readiness to arm, battery and link, from what it says by itself. Of two nothing else is told."""
+    `asked_s` is when it was asked why it would not arm.
+    """
     name = vehicle.robot
     if vehicle.doubles:
         remedy = "give each its own MAV_SYSID (SYSID_THISMAV before 4.7)"
@@ -122,7 +38,7 @@ def condition(vehicle: Vehicle, now_s: float, max_age_s: float = 2.0) -> list[Ch
         Check(name, "identity", level, f"system {vehicle.system_id}, {firmware}"),
         _position(vehicle, now_s, max_age_s),
         _estimator(vehicle),
-        _readiness(vehicle),
+        _readiness(vehicle, asked_s),
         _battery(vehicle),
         _link(vehicle),
     ]
@@ -153,13 +69,21 @@ def _estimator(vehicle: Vehicle) -> Check:
     return Check(vehicle.robot, "EKF", "green", "knows where it is")
 
 
-def _readiness(vehicle: Vehicle) -> Check:
+def _readiness(vehicle: Vehicle, asked_s: float) -> Check:
+    name = vehicle.robot
+    if vehicle.heartbeats == 0:
+        return Check(name, "arming", "red", "never heard", "is it on, does it send to this address?")
     if vehicle.healthy_to_arm is False:
-        words = next((text for _, text in reversed(vehicle.texts) if "arm" in text.lower()), "")
-        return Check(
-            vehicle.robot, "arming", "red", words or "its pre-arm checks fail", "mend what the vehicle names"
+        said = dict.fromkeys(
+            text for t_s, text, _ in vehicle.texts if t_s >= asked_s and "arm" in text.lower()
         )
-    return Check(vehicle.robot, "arming", "green", "armed" if vehicle.armed else "ready to arm")
+        words = "; ".join(said) or "its pre-arm checks fail, and it does not say why"
+        return Check(name, "arming", "red", words, "mend what the vehicle names")
+    if vehicle.armed:
+        return Check(name, "arming", "green", "armed")
+    if vehicle.healthy_to_arm is None:
+        return Check(name, "arming", "amber", "does not say whether it would arm", "wait, and check again")
+    return Check(name, "arming", "green", "ready to arm")
 
 
 def _battery(vehicle: Vehicle) -> Check:
@@ -167,7 +91,8 @@ def _battery(vehicle: Vehicle) -> Check:
         return Check(vehicle.robot, "battery", "amber", "unknown", "set up its battery monitor")
     level: Level = "green" if vehicle.battery_pct >= LOW_BATTERY_PCT else "amber"
     remedy = "" if level == "green" else "charge or change it"
-    return Check(vehicle.robot, "battery", level, f"{vehicle.battery_pct:.0f} %", remedy)
+    volts = "" if vehicle.battery_v is None else f", {vehicle.battery_v:.1f} V"
+    return Check(vehicle.robot, "battery", level, f"{vehicle.battery_pct:.0f} %{volts}", remedy)
 
 
 def _link(vehicle: Vehicle) -> Check:

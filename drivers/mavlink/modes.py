@@ -3,6 +3,7 @@
 Sources: ArduRover `mode.h`, ArduCopter `mode.h`, PX4 `px4_custom_mode.h`.
 """
 
+import math
 from dataclasses import dataclass
 
 from drivers.mavlink.codec import Message, mavlink
@@ -18,18 +19,21 @@ _COPTERS = (
     mavlink.MAV_TYPE_DODECAROTOR,
     mavlink.MAV_TYPE_DECAROTOR,
 )
+_PX4_TAKEOFF = 4 << 16 | 2 << 24
 _PX4_LOITER = 4 << 16 | 3 << 24
 _PX4_RETURN = 4 << 16 | 5 << 24
+_PX4_LAND = 4 << 16 | 6 << 24
 
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """A firmware's numbers for the three modes we use: the first of each is the one to ask for."""
+    """A firmware's numbers for the modes we use: the first of each is the one to ask for."""
 
     name: str
     guided: tuple[int, ...]
     hold: tuple[int, ...]
     home: tuple[int, ...]
+    land: tuple[int, ...] = ()
 
     def meaning(self, custom_mode: int) -> VehicleMode:
         """Our word for a mode number; where guided and hold share one (PX4), `hold`."""
@@ -37,15 +41,23 @@ class Firmware:
             return "hold"
         if custom_mode in self.home:
             return "return"
+        if custom_mode in self.land:
+            return "land"
         return "guided" if custom_mode in self.guided else "other"
 
     def number(self, mode: VehicleMode) -> int:
-        return {"guided": self.guided, "hold": self.hold, "return": self.home}[mode][0]
+        """The number to ask for. `ValueError` where the firmware has no such mode."""
+        numbers = {"guided": self.guided, "hold": self.hold, "return": self.home, "land": self.land}
+        if not numbers.get(mode):
+            raise ValueError(f"{self.name} has no mode for {mode}")
+        return numbers[mode][0]
 
 
 ROVER = Firmware("ArduRover", guided=(15,), hold=(4,), home=(11, 12))
-COPTER = Firmware("ArduCopter", guided=(4,), hold=(17, 5), home=(6, 21))
-PX4 = Firmware("PX4", guided=(_PX4_LOITER,), hold=(_PX4_LOITER,), home=(_PX4_RETURN,))
+COPTER = Firmware("ArduCopter", guided=(4,), hold=(17, 5), home=(6, 21), land=(9,))
+PX4 = Firmware(
+    "PX4", guided=(_PX4_LOITER, _PX4_TAKEOFF), hold=(_PX4_LOITER,), home=(_PX4_RETURN,), land=(_PX4_LAND,)
+)
 
 
 def firmware_of(heartbeat: Message) -> Firmware | None:
@@ -58,6 +70,23 @@ def firmware_of(heartbeat: Message) -> Firmware | None:
         if heartbeat.type in _COPTERS:
             return COPTER
     return None
+
+
+def flies(heartbeat: Message) -> bool:
+    """Whether the sender of this HEARTBEAT leaves the ground."""
+    return heartbeat.type in _COPTERS
+
+
+def stop_here(system_id: int) -> Message:
+    """PX4's pause: a reposition to nowhere. Its hold mode alone flies on to the last place it was sent to.
+
+    QGroundControl stops PX4 in this way (PX4FirmwarePlugin::pauseVehicle).
+    """
+    nowhere = (math.nan,) * 4
+    flag = mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+    return mavlink.MAVLink_command_long_message(
+        system_id, 1, mavlink.MAV_CMD_DO_REPOSITION, 0, -1, flag, 0, *nowhere
+    )
 
 
 def set_mode(system_id: int, firmware: Firmware, mode: VehicleMode, confirmation: int) -> Message:

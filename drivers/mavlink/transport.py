@@ -134,6 +134,34 @@ class _Datagrams(asyncio.DatagramProtocol):
         self.datagram_received = on_data  # type: ignore[method-assign,assignment]
 
 
+class Copy:
+    """Sends a copy of what comes in to somebody on UDP; nothing that goes wrong with it concerns the link."""
+
+    def __init__(self, address: str) -> None:
+        try:
+            self._address = host_and_port(address)
+        except ValueError as error:
+            raise ConfigError(f"vehicle option 'forward' {address!r}: {error}") from None
+        self._socket: socket.socket | None = None
+
+    def open(self) -> None:
+        """From now on."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+
+    def send(self, data: bytes) -> None:
+        """Dropped where it cannot leave."""
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, self._address)
+
+    def close(self) -> None:
+        """Closing twice is harmless."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
 class Tcp:
     """One stream; reconnected by a task of its own when it ends."""
 

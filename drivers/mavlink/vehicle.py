@@ -8,7 +8,7 @@ from collections import deque
 from typing import Literal
 
 from drivers.mavlink.codec import Message, mavlink
-from drivers.mavlink.modes import PX4, Firmware, firmware_of
+from drivers.mavlink.modes import PX4, Firmware, firmware_of, flies
 from drivers.mavlink.transport import Peer
 from drivers.timebase import TimeBase
 from fieldkit.geo import FieldFrame
@@ -27,6 +27,8 @@ REBOOT_BACK_MS = 1000
 TWO_CLOCKS = 3
 """A boot clock that goes back so often within `FORGET_S` is two vehicles' behind one address: none boots so fast."""
 NO_POSITION = (0, 0)
+MAX_ROUND_TRIP_NS = 1_000_000_000
+"""A slower answer says too little of a clock."""
 
 Happening = Pose | VehicleState
 
@@ -47,6 +49,18 @@ class Vehicle:
         self.heartbeats = 0
         self.position_s = -math.inf
         self.battery_pct: float | None = None
+        self.battery_v: float | None = None
+        self.speed_m_s: float | None = None
+        """Over ground, as measured."""
+        self.flies = False
+        self.on_ground: bool | None = None
+        """None where it does not say."""
+        self.up_m: float | None = None
+        """Height above its home."""
+        self.home_alt_m: float | None = None
+        """Its home's height above the sea."""
+        self.place: tuple[int, int] | None = None
+        """Where it says it is, degrees times 1e7."""
         self.healthy_to_arm: bool | None = None
         self.gps_fix: int | None = None
         self.gps_eph: int | None = None
@@ -58,8 +72,10 @@ class Vehicle:
         self.reboots = 0
         self.utc_ahead_s: float | None = None
         """Our clock's lead over the time it has from its GPS; None where it has none."""
-        self.texts: deque[tuple[float, str]] = deque(maxlen=20)
-        """(elapsed time, STATUSTEXT), newest last."""
+        self.texts: deque[tuple[float, str, int]] = deque(maxlen=20)
+        """(elapsed time, STATUSTEXT, MAV_SEVERITY), newest last."""
+        self.lost_because = ""
+        """Why it is not ours any more; empty where it never was, or is."""
         self.doubles: set[Peer] = set()
         """Addresses that claim the same system id; not empty means: do not steer."""
         self.owner: Literal["nobody", "us", "lost"] = "nobody"
@@ -100,11 +116,11 @@ class Vehicle:
             return [*self._position(message, now_s, now_ns), *self._report(now_s, now_ns)]
         elif kind == "STATUSTEXT":
             self._text(message, now_s)
+        elif kind == "EXTENDED_SYS_STATE":
+            known = message.landed_state != mavlink.MAV_LANDED_STATE_UNDEFINED
+            self.on_ground = message.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND if known else None
         elif kind == "SYS_STATUS":
-            self.battery_pct = float(message.battery_remaining) if message.battery_remaining >= 0 else None
-            bit = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-            if message.onboard_control_sensors_present & bit:
-                self.healthy_to_arm = bool(message.onboard_control_sensors_health & bit)
+            self._status(message)
         elif kind == "GPS_RAW_INT":
             self._gps(message)
         elif kind == "EKF_STATUS_REPORT":
@@ -120,8 +136,8 @@ class Vehicle:
         if self.link_up and now_s - self.heartbeat_s > LOST_S:
             self.link_up = False
             self._say(now_s, f"no heartbeat for {LOST_S:g} s: link lost")
-            if self.owner == "us":
-                self.owner = "lost"  # its own failsafe decides meanwhile; going on needs a new take-over
+            # Its own failsafe decides meanwhile; going on needs a new take-over.
+            self._lose(f"its link was lost for {LOST_S:g} s")
         if self.doubles:
             self._forget_speakers(now_s)
         return self._report(now_s, now_ns) if self.peer is not None else []
@@ -137,7 +153,7 @@ class Vehicle:
             self._say(now_s, "link up" if self.heartbeats == 0 else "link is back")
         self.heartbeat_s = now_s
         self.heartbeats += 1
-        self.firmware = firmware_of(message)
+        self.firmware, self.flies = firmware_of(message), flies(message)
         self.custom_mode = message.custom_mode
         self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         self._check_ownership(now_s)
@@ -163,7 +179,7 @@ class Vehicle:
         if doubles - self.doubles:
             where = f"{self.peer} and {min(doubles)}" if doubles != {self.peer} else f"both at {self.peer}"
             self._say(now_s, f"two vehicles have system id {self.system_id}: {where}")
-            self.owner = "lost" if self.owner == "us" else self.owner
+            self._lose(self._why)
         self.doubles = doubles
 
     def _has_two_clocks(self, now_s: float) -> bool:
@@ -179,23 +195,28 @@ class Vehicle:
     def _check_ownership(self, now_s: float) -> None:
         is_ours = self.actual_mode == self.commanded
         if self.owner == "us" and self._confirmed and not is_ours:
-            self.owner = "lost"
             self._say(now_s, f"someone else put it in {self._mode_words()}: no longer ours to steer")
+            self._lose(self._why)
         self._confirmed = self._confirmed or is_ours
 
     def _position(self, message: Message, now_s: float, now_ns: int) -> list[Happening]:
         # A better estimate of the offset may set the clock back a little; poses stay in order.
         t_ns = max(self._time.heard(message.time_boot_ms * 1_000_000, now_ns), self._pose_t_ns + 1)
         self._pose_t_ns = t_ns
+        self.speed_m_s = math.hypot(message.vx, message.vy) / 100.0
+        self.up_m = message.relative_alt / 1000.0
+        self.home_alt_m = (message.alt - message.relative_alt) / 1000.0
+        self.place = (message.lat, message.lon)
         if (message.lat, message.lon) == NO_POSITION or not self._gps_good:
             return []
         self.position_s = now_s
         if message.hdg != 65535:
             self._heading_deg = message.hdg / 100.0
-        up_m = message.relative_alt / 1000.0
         east_m, north_m, _ = self._frame.to_local(message.lat / 1e7, message.lon / 1e7)
         sigma_m = self._sigma_m or self._gps_sigma_m or 0.0
-        return [Pose(t_ns, self.robot, east_m, north_m, up_m, self._heading_deg % 360.0, sigma_m, "mavlink")]
+        return [
+            Pose(t_ns, self.robot, east_m, north_m, self.up_m, self._heading_deg % 360.0, sigma_m, "mavlink")
+        ]
 
     def count(self, peer: Peer, seq: int) -> None:
         """Note a frame's number: gaps are frames lost. Behind a router that drops some this is too dark."""
@@ -212,6 +233,14 @@ class Vehicle:
         """Share of its frames that did not arrive."""
         return self._lost / max(1, self._lost + self._frames)
 
+    def _status(self, message: Message) -> None:
+        self.battery_pct = float(message.battery_remaining) if message.battery_remaining >= 0 else None
+        known = 0 < message.voltage_battery < 65535
+        self.battery_v = message.voltage_battery / 1000.0 if known else None
+        bit = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+        if message.onboard_control_sensors_present & bit:
+            self.healthy_to_arm = bool(message.onboard_control_sensors_health & bit)
+
     def _gps(self, message: Message) -> None:
         """Without a fix the autopilot goes on sending dead-reckoned positions that look fresh."""
         self.gps_fix = message.fix_type
@@ -225,8 +254,9 @@ class Vehicle:
             self._time.clear()
             self.position_target = None
             self.reboots += 1
-            self.owner = "lost" if self.owner == "us" else self.owner
-            self._why = "it has rebooted"
+            self._say(now_s, "it has rebooted")
+            if self.owner != "nobody":  # the mode after the boot came first, and looked like somebody else's
+                self.give_up(self._why)
             self._boot_ms = boot_ms
         self._boot_ms = max(boot_ms, self._boot_ms or 0)
 
@@ -238,11 +268,36 @@ class Vehicle:
             if len(message.text) >= 50:
                 self._chunks = {message.id: text}
                 return
-        self._say(now_s, text)
+        self._say(now_s, text, message.severity)
 
-    def _say(self, now_s: float, text: str) -> None:
-        self.texts.append((now_s, text))
+    def _say(self, now_s: float, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING) -> None:
+        self.texts.append((now_s, text, severity))
         self._why = text
+
+    def _lose(self, why: str) -> None:
+        """It is no longer ours, if it was."""
+        if self.owner == "us":
+            self.owner, self.lost_because = "lost", why
+
+    def take(self) -> None:
+        """It is ours from now on, in no mode that we asked for yet."""
+        self.owner, self.commanded, self.lost_because = "us", None, ""
+
+    def give_up(self, why: str) -> None:
+        """It is whoever's takes it."""
+        self.owner, self.lost_because = "lost", why
+
+    # Its clock
+
+    @property
+    def clock_in_doubt(self) -> bool:
+        """It may have stood still: everything it says looks old. Only a round trip can tell that from a slow link."""
+        return self._time.in_doubt
+
+    def clock_measured(self, sent_ns: int, theirs_ns: int, received_ns: int) -> None:
+        """Its boot clock read `theirs_ns` between two moments of mission time: learn the offset from that."""
+        if received_ns - sent_ns < MAX_ROUND_TRIP_NS:
+            self._time.learn((sent_ns + received_ns) // 2 - theirs_ns, received_ns)
 
     # What we make of it
 
@@ -270,8 +325,9 @@ class Vehicle:
             self.commanded, self._confirmed = mode, False
 
     def words_since(self, then_s: float) -> str:
-        """What it said since then, for an error message."""
-        return "; ".join(text for t_s, text in self.texts if t_s >= then_s)
+        """What it has complained of since then, for an error message; chatter (notices, information) is not told."""
+        worst = mavlink.MAV_SEVERITY_WARNING
+        return "; ".join(text for t_s, text, severity in self.texts if t_s >= then_s and severity <= worst)
 
     def _mode_words(self) -> str:
         return self.actual_mode if self.actual_mode != "other" else f"mode {self.custom_mode}"
@@ -280,10 +336,13 @@ class Vehicle:
         """The state, if it changed or is due."""
         if self.peer is None:
             return []
-        now = (self.mode, self.armed, self.link_up, self._why)
+        now = (self.mode, self.armed, self.link_up, self.on_ground, self._why, self.lost_because)
         if now == self._reported and now_s - self._reported_s < STATE_EVERY_S:
             return []
         self._reported, self._reported_s = now, now_s
         return [
-            VehicleState(now_ns, self.robot, self.mode, self.armed, self.link_up, self.battery_pct, self._why)
-        ]
+            VehicleState(
+                now_ns, self.robot, self.mode, self.armed, self.link_up, self.battery_pct, self._why,
+                self.battery_v, self.speed_m_s, self.flies, self.on_ground, self.lost_because,
+            )
+        ]  # fmt: skip

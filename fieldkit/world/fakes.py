@@ -13,6 +13,7 @@ from fieldkit.checks import Check
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError, DeviceTimeout, VehicleRefused
 from fieldkit.messages import Pose, ReceiverState, RssReading, VehicleMode, VehicleState, Waypoint
+from fieldkit.ports import Demands, StoredFence, Traits
 from fieldkit.world.rover import Rover
 
 Item = TypeVar("Item")
@@ -91,6 +92,7 @@ class FakeFleet:
         self._home = {name: (rover.east_m, rover.north_m) for name, rover in rovers.items()}
         self._mode: dict[str, VehicleMode] = dict.fromkeys(self.robots, "other")
         self._armed = dict.fromkeys(self.robots, False)
+        self.fences: dict[str, StoredFence] = {}
         self._stream: _Stream[Pose | VehicleState] = _Stream()
         self._task: asyncio.Task[None] | None = None
 
@@ -123,14 +125,39 @@ class FakeFleet:
         self._armed[robot] = self._armed[robot] or arm
         self._set(robot, "guided")
 
-    async def inspect(self, robot: str, fence_m: Sequence[tuple[float, float]] = ()) -> list[Check]:
+    async def inspect(self, robot: str, demands: Demands = Demands()) -> list[Check]:
         """Nothing is ever wrong with it."""
         self._check(robot)
         return [Check(robot, "failsafe", "green", "stops when the program does")]
 
+    async def traits(self, robot: str) -> Traits:
+        """As its body is."""
+        self._check(robot)
+        body = self.rovers[robot]
+        return Traits(False, body.arrive_m, 0.0, body.max_speed_m_s, body.max_speed_m_s)
+
+    async def put_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> StoredFence:
+        """It takes any."""
+        self._check(robot)
+        stored = self.fences.get(robot, StoredFence(robot, 0.0))
+        rows = tuple((0.0, east_m, north_m, 0.0, 0.0, 0.0, 0.0, 0.0) for east_m, north_m in corners_m)
+        self.fences[robot] = StoredFence(robot, 1.0, rows)
+        return stored
+
+    async def restore_fence(self, stored: StoredFence) -> None:
+        """As it was."""
+        self._check(stored.robot)
+        self.fences[stored.robot] = stored
+
     def release(self, robot: str) -> None:
         """Not ours any more."""
         self._set(robot, "other")
+
+    def stop(self, robot: str) -> None:
+        """Stop, if it is there."""
+        if robot in self.rovers and robot not in self.silent:
+            self.rovers[robot].stop()
+            self._set(robot, "hold")
 
     async def goto(self, robot: str, waypoint: Waypoint) -> None:
         """Drive there. Refused before `take_over`, and for targets that are no numbers."""
@@ -147,6 +174,16 @@ class FakeFleet:
         self._check(robot)
         self.rovers[robot].stop()
         self._set(robot, "hold")
+
+    async def take_off(self, robot: str, up_m: float) -> None:
+        """They all drive."""
+        self._check(robot)
+        raise VehicleRefused(f"{robot}: does not fly")
+
+    async def land(self, robot: str) -> None:
+        """They all drive."""
+        self._check(robot)
+        raise VehicleRefused(f"{robot}: does not fly")
 
     async def return_home(self, robot: str) -> None:
         """Drive to where it started."""

@@ -1,5 +1,7 @@
 """A vehicle's own failsafes, fence and clock are read, not assumed, before it is steered."""
 
+import asyncio
+
 import pytest
 from benches import FRAME, until
 from hypothesis import given
@@ -7,67 +9,28 @@ from hypothesis import strategies as st
 from test_mavlink_plans import SQUARE_M, link_and_rover
 
 from drivers.mavlink import inspect
-from drivers.mavlink.modes import COPTER, PX4, ROVER
+from drivers.mavlink.codec import mavlink
 from drivers.mavlink.plans import FENCE
 from drivers.mavlink.timesync import best
 from drivers.mavlink.vehicle import Vehicle
+from fieldkit.messages import VehicleState, Waypoint
+from fieldkit.ports import Demands
 
-GOOD = {
-    "FS_GCS_ENABLE": 1.0,
-    "FS_ACTION": 2.0,
-    "FS_GCS_TIMEOUT": 5.0,
-    "BATT_FS_LOW_ACT": 2.0,
-    "MAV_GCS_SYSID": 245.0,
-}
-
-
-def levels(checks, name="failsafe"):
-    return [check.level for check in checks if check.name == name]
-
-
-def test_a_rover_that_stops_by_itself_is_green():
-    assert levels(inspect.failsafes("ada", ROVER, GOOD, 245)) == ["green"]
-
-
-@pytest.mark.parametrize(
-    ("change", "level"),
-    [
-        ({"FS_GCS_ENABLE": 0.0}, "red"),
-        ({"FS_ACTION": 0.0}, "red"),
-        ({"FS_GCS_ENABLE": None}, "red"),
-        ({"MAV_GCS_SYSID": 255.0}, "red"),
-        ({"BATT_FS_LOW_ACT": 0.0}, "amber"),
-        ({"FS_GCS_TIMEOUT": 30.0}, "amber"),
-    ],
-)
-def test_what_keeps_a_rover_driving_when_we_are_dead_is_found(change, level):
-    (check,) = inspect.failsafes("ada", ROVER, GOOD | change, 245)
-    assert check.level == level and check.remedy
-
-
-def test_a_range_of_ground_stations_and_the_older_parameters_name_are_understood():
-    assert levels(
-        inspect.failsafes("ada", ROVER, GOOD | {"MAV_GCS_SYSID": 240.0, "MAV_GCS_SYSID_HI": 250.0}, 245)
-    ) == ["green"]
-    old = GOOD | {"MAV_GCS_SYSID": None, "SYSID_MYGCS": 255.0}
-    assert levels(inspect.failsafes("ada", ROVER, old, 245)) == ["red"]
-
-
-def test_other_firmwares_have_their_own_parameters():
-    assert levels(inspect.failsafes("cop", COPTER, GOOD, 245)) == ["green"]
-    px4 = {"NAV_DLL_ACT": 0.0, "COM_DL_LOSS_T": 10.0, "COM_LOW_BAT_ACT": 2.0}
-    assert levels(inspect.failsafes("pix", PX4, px4, 245)) == ["red"]
-    assert levels(inspect.failsafes("pix", PX4, px4 | {"NAV_DLL_ACT": 1.0}, 245)) == ["green"]
+DEMANDS = Demands(1.0, tuple(SQUARE_M), True, ((2.0, 2.0), (8.0, 8.0)))
 
 
 async def test_a_fit_vehicle_has_its_fence_and_is_green_all_over():
     async with link_and_rover() as (link, rover):
         rover.autopilot.parameters["FS_GCS_ENABLE"] = 1.0
-        checks = await link.inspect("ada", SQUARE_M)
+        await link.put_fence("ada", SQUARE_M)
+        checks = await link.inspect("ada", DEMANDS)
         assert {check.level for check in checks} == {"green"}, checks
         assert {check.name for check in checks} >= {
             "failsafe",
+            "battery failsafe",
             "fence",
+            "fence action",
+            "speed",
             "clock",
             "position",
             "EKF",
@@ -78,11 +41,57 @@ async def test_a_fit_vehicle_has_its_fence_and_is_green_all_over():
         assert not rover.autopilot.armed
 
 
+async def test_looking_changes_nothing_in_the_vehicle():
+    async with link_and_rover() as (link, rover):
+        await link.upload_fence("ada", [(-30.0, -30.0), (30.0, -30.0), (0.0, 40.0)])
+        held, before = list(rover.autopilot.plans.items[FENCE]), dict(rover.autopilot.parameters)
+        await link.inspect("ada", Demands(1.0, tuple(SQUARE_M), False, tuple(SQUARE_M)))
+        assert rover.autopilot.plans.items[FENCE] == held
+        assert rover.autopilot.parameters == before
+
+
+async def test_a_fence_that_a_team_had_is_back_after_a_mission():
+    async with link_and_rover() as (link, rover):
+        await link.upload_fence("ada", [(-30.0, -30.0), (30.0, -30.0), (0.0, 40.0)])
+        own = await link.download("ada", FENCE)
+        stored = await link.put_fence("ada", SQUARE_M)
+        assert len(rover.autopilot.plans.items[FENCE]) == 4
+        assert rover.autopilot.parameters["FENCE_ENABLE"] == 1.0
+        await link.restore_fence(stored)
+        assert await link.download("ada", FENCE) == own
+        assert rover.autopilot.parameters["FENCE_ENABLE"] == 0.0
+
+
+async def test_a_fence_of_its_own_inside_the_field_is_red():
+    """It would stop there, in guided, without a word."""
+    async with link_and_rover() as (link, _):
+        await link.put_fence("ada", SQUARE_M)
+        field = ((-5.0, -5.0), (20.0, 20.0))
+        checks = {check.name: check for check in await link.inspect("ada", Demands(1.0, (), False, field))}
+        assert checks["fence"].level == "red" and "inside the mission's field" in checks["fence"].found
+        room = ((4.0, 4.0), (6.0, 6.0))
+        checks = {check.name: check for check in await link.inspect("ada", Demands(1.0, (), False, room))}
+        assert checks["fence"].level == "green"
+
+
+async def test_the_fence_that_mends_it_is_there_before_arming_is_judged():
+    """A vehicle set up by docs/hardware.md: a fence enabled, none loaded yet. It says why once in 30 s."""
+    async with link_and_rover() as (link, rover):
+        rover.autopilot.parameters |= {"FS_GCS_ENABLE": 1.0, "FENCE_ENABLE": 1.0}
+        await rover.clock.sleep(5.0)  # what it said by itself is over
+        checks = {check.name: check for check in await link.inspect("ada")}
+        assert checks["arming"].level == "red"
+        assert checks["arming"].found == "PreArm: Fences enabled, but none selected"
+        await link.put_fence("ada", SQUARE_M)
+        checks = {check.name: check for check in await link.inspect("ada", DEMANDS)}
+        assert checks["arming"].level == "green"
+
+
 async def test_what_is_wrong_is_red_with_the_vehicles_own_words():
     async with link_and_rover() as (link, rover):
         rover.autopilot.parameters["FS_GCS_ENABLE"] = 0.0
+        rover.autopilot.say("GPS 1: detected u-blox, armless", mavlink.MAV_SEVERITY_INFO)
         rover.autopilot.trouble.prearm = "PreArm: Compass not calibrated"
-        rover.autopilot.say("PreArm: Compass not calibrated")
         rover.autopilot.lose_gps(True)
         rover.autopilot.battery_pct = 30.0
         checks = {check.name: check for check in await link.inspect("ada")}
@@ -90,7 +99,42 @@ async def test_what_is_wrong_is_red_with_the_vehicles_own_words():
         assert checks["position"].level == "red"
         assert checks["EKF"].level == "red"
         assert checks["battery"].level == "amber"
-        assert "Compass not calibrated" in checks["arming"].found
+        assert checks["arming"].level == "red"
+        assert checks["arming"].found == "PreArm: Compass not calibrated"
+
+
+def test_a_vehicle_never_heard_is_nowhere_green():
+    checks = inspect.condition(Vehicle("eve", 9, FRAME), 10.0)
+    assert "green" not in {check.level for check in checks}, checks
+
+
+async def test_one_that_answers_nothing_is_told_from_one_without_failsafes():
+    """As a vehicle that wants signed frames is, from a station without the key."""
+    async with link_and_rover() as (link, rover):
+        rover.drop_in = lambda _: True
+        checks = {check.name: check for check in await link.inspect("ada")}
+        assert checks["failsafe"].level == "red"
+        assert "answers nothing" in checks["failsafe"].found and "signing_key" in checks["failsafe"].remedy
+
+
+async def test_voltage_and_measured_speed_are_in_the_state():
+    async with link_and_rover() as (link, rover):
+        rover.autopilot.trouble.battery_v, rover.autopilot.battery_pct = 9.0, 98.0
+        seen = []
+
+        async def listen():
+            async for item in link.events():
+                if isinstance(item, VehicleState):
+                    seen.append(item)
+
+        task = asyncio.create_task(listen())
+        await link.take_over("ada")
+        await link.goto("ada", Waypoint(30.0, 0.0, 0.7))
+        await until(lambda: seen and seen[-1].speed_m_s and seen[-1].speed_m_s > 0.6)
+        assert seen[-1].battery_v == pytest.approx(9.0) and seen[-1].battery_pct == 98.0
+        assert not seen[-1].flies
+        task.cancel()
+        await asyncio.wait({task})
 
 
 async def test_lost_frames_show_in_the_link():
