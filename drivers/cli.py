@@ -83,6 +83,35 @@ def field(
 
 
 @emulate.command()
+def radios(
+    mission: Annotated[str, typer.Option(help="The mission file whose robots get radios.")] = "mission.toml",
+    telemetry: Annotated[
+        str, typer.Option(help="Where a copy of the vehicles' telemetry comes in.")
+    ] = "udpin:127.0.0.1:14560",
+    source: Annotated[
+        list[str] | None, typer.Option(help="A transmitter: EAST,NORTH in metres, or EAST,NORTH,POWER_DB.")
+    ] = None,
+    sources: Annotated[int, typer.Option(min=1, max=50, help="Hidden at random where none is named.")] = 3,
+    rate_hz: Annotated[float, typer.Option(help="How often a named one transmits.")] = 0.2,
+    profile: Annotated[str, typer.Option(help="s1, s1pro, s2c or xb3.")] = "s2c",
+    seed: Seed = 1,
+) -> None:
+    """Give the robots of a mission file radios that hear from where their vehicles are, to rehearse with.
+
+    Example: fieldkit emulate radios --mission mission.toml --source 12,30
+    """
+    import asyncio
+    from pathlib import Path
+
+    from drivers.emulators.rehearsal import named_sources, read_rehearsal, run_radios
+    from fieldkit.clock import RealClock
+
+    named = named_sources(source or (), rate_hz)
+    what = read_rehearsal(Path(mission), sources=named, count=sources, seed=seed, profile=profile)
+    asyncio.run(run_radios(what, telemetry, RealClock(), seed, typer.echo))
+
+
+@emulate.command()
 def sniffer(
     kind: Annotated[str, typer.Option(help="nrf, ti, or pcap: a live pipe.")] = "nrf",
     channel: Annotated[int, typer.Option(min=11, max=26, help="Channel the packets are on.")] = 15,

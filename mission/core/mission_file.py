@@ -139,8 +139,8 @@ class SafetyTable(_Table):
     call_after_s: float = Field(default=30.0, gt=0)
     battery_reserve_pct: float = Field(default=25.0, ge=0, lt=100)
     battery_pct_per_m: float = Field(default=0.0, ge=0)
-    vehicle_fence: bool = True
-    """Whether the vehicles get a fence of their own, round the whole field."""
+    vehicle_fence: bool = False
+    """Whether the vehicles get a fence of their own, round the whole field, for the time of the mission."""
     vehicle_fence_beyond_m: float = Field(default=4.0, ge=0)
     """How far outside the field it runs: a rover stops up to 3.5 m before its own fence, and stays there."""
 

@@ -1,10 +1,13 @@
 """Before the start: a table robot by check, each red, amber or green with what to do. Nothing is armed or moved.
 
-`judge_*` are pure; `preflight` opens the rig's devices one by one, listens for a while, and asks the vehicles.
+`judge_*` are pure; `preflight` opens the rig's devices one by one, listens for a while, and asks the vehicles. Where
+the mission file asks for a fence in the vehicles they get it first, for it may be what arming waits for; they get
+their own back at the end.
 """
 
 import asyncio
 import contextlib
+import logging
 import math
 import os
 import shutil
@@ -19,6 +22,9 @@ from fieldkit.messages import Pose, ReceiverState, RssReading
 from fieldkit.ports import PositionSource, Receiver, VehicleLink
 from mission.core.mission_file import Mission
 from mission.shell.setups import Rig
+from mission.shell.vehicle_fences import VehicleFences, demands_of
+
+logger = logging.getLogger(__name__)
 
 MISSION = "mission"
 NEAR_FIELD_M = 200.0
@@ -61,10 +67,8 @@ async def preflight(mission: Mission, rig: Rig, folder: Path, listen_s: float) -
             stack.push_async_callback(_end, task)
             if isinstance(device, VehicleLink):
                 opened.append(device)
-        asked = [_ask(link, robot, mission) for link in opened for robot in link.robots]
-        inspected, _ = await asyncio.gather(asyncio.gather(*asked), rig.clock.sleep(listen_s))
-    for found in inspected:
-        checks += found
+        fences = VehicleFences(mission, {name: link for link in opened for name in link.robots}, _say)
+        checks += await _ask_all(fences, mission, rig, listen_s)
     silent = {check.robot for check in checks if check.name == "radio"}
     for receiver in rig.receivers:
         if receiver.robot not in silent:
@@ -73,9 +77,27 @@ async def preflight(mission: Mission, rig: Rig, folder: Path, listen_s: float) -
     return checks
 
 
+async def _ask_all(fences: VehicleFences, mission: Mission, rig: Rig, listen_s: float) -> list[Check]:
+    """What the vehicles say, once they have the fence that the mission gives them."""
+    try:
+        checks = await fences.put(list(fences.link_of))
+        asked = [_ask(link, robot, mission) for robot, link in fences.link_of.items()]
+        inspected, _ = await asyncio.gather(asyncio.gather(*asked), rig.clock.sleep(listen_s))
+    finally:
+        await fences.restore()
+    for found in inspected:
+        checks += found
+    return checks
+
+
+def _say(level: str, text: str) -> None:
+    """There is no recording here: what cannot be put back is said."""
+    (logger.error if level == "error" else logger.info)("%s", text)
+
+
 async def _ask(link: VehicleLink, robot: str, mission: Mission) -> list[Check]:
     try:
-        return await link.inspect(robot, mission.vehicle_fence_m)
+        return await link.inspect(robot, demands_of(mission))
     except DeviceError as error:
         return [Check(robot, "vehicle", "red", str(error), "mend that and check again")]
 

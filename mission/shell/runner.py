@@ -53,6 +53,7 @@ from mission.shell.dispatcher import RELEASE, TAKE_OVER, Helm
 from mission.shell.preflight import judge_places, refused
 from mission.shell.recorder import Follower, Journal
 from mission.shell.setups import Rig
+from mission.shell.vehicle_fences import VehicleFences, demands_of
 
 logger = logging.getLogger(__name__)
 
@@ -106,6 +107,7 @@ class Runner:
             self.kernel, self.mission.kernel.engine.grid.cell_m, self.recorder, *self.followers
         )
         self.helm = Helm(self.rig.links, self.rig.clock, self._note)
+        self.fences = VehicleFences(self.mission, self.helm.link_of, self._note)
         self._placed = {robot for source in self.rig.positions for robot in source.robots}
         self._doing: dict[str, str] = {}
         self._steered = False
@@ -459,12 +461,10 @@ class Runner:
 
     async def _inspect(self, absent: set[str]) -> None:
         """Vehicles that would not stop by themselves, or are unfit otherwise, keep the mission from starting."""
-        asked = [
-            link.inspect(robot, self.mission.vehicle_fence_m)
-            for robot, link in self.helm.link_of.items()
-            if robot not in absent
-        ]
-        checks = [check for found in await asyncio.gather(*asked) for check in found]
+        present = {robot: link for robot, link in self.helm.link_of.items() if robot not in absent}
+        checks = await self.fences.put(list(present))
+        asked = [link.inspect(robot, demands_of(self.mission)) for robot, link in present.items()]
+        checks += [check for found in await asyncio.gather(*asked) for check in found]
         poses = {name: robot.pose for name, robot in self.kernel.robots.items() if robot.pose is not None}
         checks += [check for check in judge_places(self.mission, poses) if check.robot not in absent]
         for check in checks:
@@ -483,6 +483,7 @@ class Runner:
         """However it ends: everybody holds."""
         if self._steered:
             await self.helm.hold_all("the mission is over")
+        await self.fences.restore()
 
     async def _finish(self, t_ns: int) -> None:
         self.journal.end(self._stepped, t_ns)

@@ -25,7 +25,7 @@ from mission.shell.setups import Rig, start_places
 class Careless(FakeFleet):
     """Vehicles that would drive on."""
 
-    async def inspect(self, robot, fence_m=()):  # type: ignore[no-untyped-def]
+    async def inspect(self, robot, demands=None):  # type: ignore[no-untyped-def]
         return [Check(robot, "failsafe", "red", "FS_GCS_ENABLE is 0: drives on", "set FS_GCS_ENABLE 1")]
 
 
@@ -131,7 +131,9 @@ def test_an_emulated_field_passes_on_its_wires(tmp_path: Path) -> None:
     assert names >= {
         "radio",
         "failsafe",
-        "fence",
+        "fence action",
+        "battery failsafe",
+        "speed",
         "clock",
         "position",
         "EKF",
