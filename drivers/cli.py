@@ -47,14 +47,19 @@ def rover(
     latitude_deg: Annotated[float, typer.Option(help="Where it stands.")] = 47.3977,
     longitude_deg: Annotated[float, typer.Option(help="Where it stands.")] = 8.5456,
     max_speed_m_s: Annotated[float, typer.Option(help="Its top speed.")] = 1.0,
+    firmware: Annotated[str, typer.Option(help="rover, copter or px4.")] = "rover",
     rate: Rate = 1.0,
     seed: Seed = 1,
 ) -> None:
-    """Emulate an ArduRover on UDP. Example: fieldkit emulate rover --address 127.0.0.1:14550"""
+    """Emulate an ArduRover, or a copter, on UDP. Example: fieldkit emulate rover --firmware copter"""
     from drivers.emulators.alone import run_field
     from drivers.emulators.field import EmulatedRobot
+    from drivers.emulators.profiles import PROFILES
+    from fieldkit.errors import ConfigError
 
-    robots = (EmulatedRobot("rover", system_id, 0.0, 0.0),)
+    if firmware not in PROFILES:
+        raise ConfigError(f"--firmware: no '{firmware}'; there are: {', '.join(PROFILES)}")
+    robots = (EmulatedRobot(firmware, system_id, 0.0, 0.0, firmware=firmware),)
     run_field(robots, (), address, (latitude_deg, longitude_deg), max_speed_m_s, rate, seed)
 
 

@@ -29,7 +29,7 @@ from drivers.mavlink.vehicle import Vehicle
 from drivers.options import checked
 from fieldkit.checks import Check
 from fieldkit.clock import Clock
-from fieldkit.errors import ConfigError, VehicleRefused
+from fieldkit.errors import ConfigError, DeviceTimeout, VehicleRefused
 from fieldkit.messages import Pose, VehicleState, Waypoint
 from fieldkit.ports import Demands, StoredFence, Surroundings, Traits
 
@@ -324,15 +324,15 @@ class MavlinkLink:
 
     async def traits(self, robot: str) -> Traits:
         """How the vehicle moves, from its parameters."""
-        return await self._talks.traits(self._of(robot))
+        return await self._talks.traits(await self._heard(robot))
 
     async def put_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> StoredFence:
         """Put corners (east, north) into the vehicle as the fence to stay in, and enable it; what was there before."""
-        return await self._talks.put_fence(self._of(robot), corners_m)
+        return await self._talks.put_fence(await self._heard(robot), corners_m)
 
     async def restore_fence(self, stored: StoredFence) -> None:
         """Put back what `put_fence` took away."""
-        await self._talks.restore_fence(self._of(stored.robot), stored)
+        await self._talks.restore_fence(await self._heard(stored.robot), stored)
 
     async def upload_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> None:
         """Put a polygon (east, north) into the vehicle as the fence it must stay in, and read it back.
@@ -374,6 +374,16 @@ class MavlinkLink:
             raise VehicleRefused(
                 f"{robot}: {words} End it, or give this one an own_system_id of its own in the mission file"
             )
+
+    async def _heard(self, robot: str) -> Steered:
+        """One that is heard; a link that was opened just now is given its time. Raises `DeviceTimeout`."""
+        steered = self._of(robot)
+        self.beat()
+        if not await self._orders.until_heard(steered.vehicle):
+            raise DeviceTimeout(
+                f"{robot}: no heartbeat from system {steered.vehicle.system_id} on {self._address}"
+            )
+        return steered
 
     def _of(self, robot: str) -> Steered:
         for steered in self._steered.values():

@@ -73,10 +73,8 @@ def _readiness(vehicle: Vehicle, asked_s: float) -> Check:
     name = vehicle.robot
     if vehicle.heartbeats == 0:
         return Check(name, "arming", "red", "never heard", "is it on, does it send to this address?")
-    if vehicle.healthy_to_arm is False:
-        said = dict.fromkeys(
-            text for t_s, text, _ in vehicle.texts if t_s >= asked_s and "arm" in text.lower()
-        )
+    said = dict.fromkeys(text for t_s, text, _ in vehicle.texts if t_s >= asked_s and "PreArm" in text)
+    if vehicle.healthy_to_arm is False or said:  # a simulator's bit was set before it would have armed
         words = "; ".join(said) or "its pre-arm checks fail, and it does not say why"
         return Check(name, "arming", "red", words, "mend what the vehicle names")
     if vehicle.armed:

@@ -35,6 +35,7 @@ def test_importing_the_command_imports_nothing_heavy():
         (["sniffer", "--kind", "ti"], 'driver = "ti-sniffer"'),
         (["sniffer", "--kind", "pcap"], 'driver = "pcap"'),
         (["rover", "--address", "127.0.0.1:9"], "udpin:127.0.0.1:9"),
+        (["rover", "--firmware", "copter", "--address", "127.0.0.1:9"], "copter: system_id = 1"),
         (["field", "--robots", "2", "--address", "127.0.0.1:9"], "hidden transmitter"),
     ],
 )

@@ -3,16 +3,18 @@
 import asyncio
 
 import pytest
-from benches import FRAME, until
+from benches import FRAME, around, free_udp_port, rovers_on_udp, until
 from hypothesis import given
 from hypothesis import strategies as st
 from test_mavlink_plans import SQUARE_M, link_and_rover
 
 from drivers.mavlink import inspect
 from drivers.mavlink.codec import mavlink
+from drivers.mavlink.fleet import open_link
 from drivers.mavlink.plans import FENCE
 from drivers.mavlink.timesync import best
 from drivers.mavlink.vehicle import Vehicle
+from fieldkit.clock import ScaledClock
 from fieldkit.messages import VehicleState, Waypoint
 from fieldkit.ports import Demands
 
@@ -60,6 +62,32 @@ async def test_a_fence_that_a_team_had_is_back_after_a_mission():
         await link.restore_fence(stored)
         assert await link.download("ada", FENCE) == own
         assert rover.autopilot.parameters["FENCE_ENABLE"] == 0.0
+
+
+async def test_what_it_says_when_asked_counts_for_more_than_its_bit():
+    """A simulated ArduCopter called itself ready, and refused to arm: "Need Position Estimate"."""
+    async with link_and_rover() as (link, rover):
+        asked = rover.autopilot._run_prearm_checks
+
+        def complains(t_s):
+            rover.autopilot.say("PreArm: Need Position Estimate", mavlink.MAV_SEVERITY_CRITICAL)
+            return asked(t_s)
+
+        rover.autopilot._run_prearm_checks = complains
+        checks = {check.name: check for check in await link.inspect("ada")}
+        assert checks["arming"].level == "red"
+        assert checks["arming"].found == "PreArm: Need Position Estimate"
+
+
+async def test_a_fence_is_put_into_a_vehicle_that_has_not_been_heard_yet():
+    """A mission does so right after the link is opened."""
+    clock, port = ScaledClock(20.0), free_udp_port()
+    async with (
+        open_link(f"udpin:127.0.0.1:{port}", {"ada": {"system_id": 1}}, around(clock)) as link,
+        rovers_on_udp({1: (0.0, 0.0)}, clock, port) as rovers,
+    ):
+        await link.put_fence("ada", SQUARE_M)
+        assert len(rovers[0].autopilot.plans.items[FENCE]) == 4
 
 
 async def test_a_fence_of_its_own_inside_the_field_is_red():

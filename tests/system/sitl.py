@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 
 FOLDER = os.environ.get("FIELDKIT_SITL", "")
+FIRST = os.getpid() % 150
+"""The first instance: simulators of two tests at a time must not share their other ports."""
 READY_S = 120.0
 """An EKF takes about 40 s from the boot to a usable position."""
 
@@ -82,7 +84,7 @@ async def simulators(
             running.append(
                 await asyncio.create_subprocess_exec(
                     program, "--model", "+" if vehicle.kind == "copter" else "rover", "--home", home,
-                    "--speedup", "1", "--wipe", "--defaults", "vehicle.parm", "-I", str(number),
+                    "--speedup", "1", "--wipe", "--defaults", "vehicle.parm", "-I", str(FIRST + number),
                     "--sysid", str(vehicle.system_id), "--serial0", f"udpclient:127.0.0.1:{port}",
                     cwd=place, stdin=asyncio.subprocess.DEVNULL, stdout=(place / "out.txt").open("w"),
                     stderr=asyncio.subprocess.STDOUT,

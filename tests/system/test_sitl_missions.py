@@ -1,0 +1,195 @@
+"""Whole missions on ArduPilot's simulators with emulated radios: `fieldkit preflight` and `run`, as a user does it.
+
+Everything that a recording tells is looked at: what was found, how fast the vehicles went, where they were.
+"""
+
+import asyncio
+import json
+import math
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "contract"))
+from benches import FRAME, free_udp_port
+from sitl import READY_S, Simulated, simulators
+
+from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
+from fieldkit.channel.model import Antenna
+from fieldkit.messages import Operator, Pose, VehicleState
+from fieldkit.recording.reader import Recording, open_recording
+
+pytestmark = pytest.mark.timeout(1500)
+
+SIZE_M = 60.0
+LIMIT_M_S = 1.5
+ANTENNA = Antenna(path_loss_exponent=2.5, power_at_1m_dbm=-50.0, sigma_db=3.0, threshold_dbm=-85.0)
+HIDDEN_M = ((14.0, 44.0), (45.0, 38.0), (31.0, 18.0))
+MISSION = """\
+schema = 1
+name = "on the simulators"
+seed = 3
+[field]
+origin_lat_deg = {lat:.7f}
+origin_lon_deg = {lon:.7f}
+size_east_m = {size}
+size_north_m = {size}
+cell_m = 1.0
+[antenna]
+file = "antenna.toml"
+[sources]
+power_levels_db = [0.0]
+rate_hz = 0.2
+expected = 3.0
+[engine]
+belief = "intensity"
+planner = "infogain"
+found_probability = 0.9
+planning_period_s = 20.0
+pose_sigma_m = 0.5
+[end]
+max_duration_s = 600.0
+sources_found = 3
+[safety]
+fence_margin_m = 5.0
+max_speed_m_s = {limit}
+min_separation_m = 5.0
+overrun_s = 10.0
+stall_s = 30.0
+vehicle_fence = true
+vehicle_fence_beyond_m = 8.0
+{extra}
+{teams}
+{robots}
+"""
+ROBOT = """\
+[[robot]]
+name = "r{number}"
+receiver = {{ driver = "xbee", port = "socket://127.0.0.1:{radio}" }}
+[robot.vehicle]
+driver = "mavlink"
+address = "udpin:127.0.0.1:{port}"
+system_id = {number}
+forward = "127.0.0.1:{copy}"
+"""
+
+
+def mission_file(folder: Path, count: int, port: int, copy: int, extra: str = "") -> Path:
+    (folder / "antenna.toml").write_text(dump_antenna(AntennaFile(ANTENNA)))
+    teams = "\n".join(f'[[team]]\nrobots = ["r{k}", "r{k + 1}"]' for k in range(1, count + 1, 2))
+    robots = "\n".join(
+        ROBOT.format(number=k, radio=free_udp_port(), port=port, copy=copy) for k in range(1, count + 1)
+    )
+    path = folder / "mission.toml"
+    path.write_text(
+        MISSION.format(
+            lat=FRAME.origin_lat_deg, lon=FRAME.origin_lon_deg, size=SIZE_M, limit=LIMIT_M_S, extra=extra, teams=teams,
+            robots=robots,
+        )
+    )  # fmt: skip
+    return path
+
+
+async def fieldkit(folder: Path, *arguments: str) -> tuple[int, str]:
+    """The program as a user starts it; its exit code and what it printed."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "fieldkit", *arguments, cwd=folder, stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE, stderr=(folder / "stderr.txt").open("w"),
+    )  # fmt: skip
+    try:
+        out, _ = await process.communicate()
+    finally:
+        if process.returncode is None:
+            process.terminate()
+            await process.wait()
+    return process.returncode or 0, out.decode()
+
+
+async def fly(folder: Path, kinds: Sequence[str], extra: str = "") -> tuple[dict[str, Any], Recording]:
+    """Preflight until it is green, then the mission; its result and its recording."""
+    port, copy = free_udp_port(), free_udp_port()
+    path = mission_file(folder, len(kinds), port, copy, extra)
+    places = [((k + 0.5) * SIZE_M / len(kinds), 8.0) for k in range(len(kinds))]
+    vehicles = [
+        Simulated(kind, number, *FRAME.to_geodetic(*place)[:2])
+        for number, (kind, place) in enumerate(zip(kinds, places, strict=True), start=1)
+    ]
+    named = [word for east_m, north_m in HIDDEN_M for word in ("--source", f"{east_m},{north_m}")]
+    async with simulators(vehicles, folder, port, WP_SPEED=LIMIT_M_S, WPNAV_SPEED=100 * LIMIT_M_S):
+        radios = asyncio.create_task(
+            fieldkit(
+                folder,
+                "emulate",
+                "radios",
+                "--mission",
+                str(path),
+                "--telemetry",
+                f"udpin:127.0.0.1:{copy}",
+                *named,
+            )
+        )
+        try:
+            await until_green(folder, path)
+            code, out = await fieldkit(folder, "run", str(path), "--no-page", "--json")
+        finally:
+            radios.cancel()
+            await asyncio.wait({radios})
+    assert code == 0, (out, (folder / "stderr.txt").read_text()[-2000:])
+    result = json.loads(out)
+    return result, open_recording(Path(folder / result["recording"]))
+
+
+async def until_green(folder: Path, path: Path) -> None:
+    """Vehicles set up as docs/hardware.md says are green once their EKF is; nothing else is waited for."""
+    checks: list[dict[str, Any]] = []
+    for _ in range(int(READY_S / 10)):
+        _, out = await fieldkit(folder, "preflight", str(path), "--json", "--listen-s", "5")
+        found = json.loads(out)
+        checks = found["checks"] if isinstance(found, dict) else found
+        if not [check for check in checks if check["level"] == "red"]:
+            break
+    unfit = [
+        check
+        for check in checks
+        if check["level"] != "green"
+        and check["robot"] != "mission"
+        and check["name"] not in ("radio", "place")
+    ]
+    assert not unfit, unfit
+
+
+def judge(result: dict[str, Any], recording: Recording, name: str) -> None:
+    """What holds of every mission; its numbers go to FIELDKIT_SITL_REPORT."""
+    events = [step.event for step in recording.steps()]
+    poses = [event for event in events if isinstance(event, Pose)]
+    states = [event for event in events if isinstance(event, VehicleState)]
+    speeds = [state.speed_m_s for state in states if state.speed_m_s is not None]
+    out_m = max(max(-p.east_m, p.east_m - SIZE_M, -p.north_m, p.north_m - SIZE_M, 0.0) for p in poses)
+    withdrawn = [(e.robot, e.reason) for e in events if isinstance(e, Operator) and e.action == "withdraw"]
+    finds = [source for source in result["sources"] if source["state"] == "found"]
+    errors = [
+        min(math.dist((source["east_m"], source["north_m"]), place) for place in HIDDEN_M) for source in finds
+    ]
+    measured = {
+        "ended": result["end_reason"], "found": len(finds), "errors_m": errors, "found_at_s": result["found_at_s"],
+        "fastest_m_s": max(speeds), "outside_m": out_m, "withdrawn": withdrawn,
+        "interventions": result["interventions"],
+    }  # fmt: skip
+    if path := os.environ.get("FIELDKIT_SITL_REPORT"):
+        with Path(path).open("a") as file:
+            file.write(json.dumps({"mission": name} | measured) + "\n")
+    assert not withdrawn, measured
+    assert len(finds) == len(HIDDEN_M), measured
+    assert max(errors) < 3.0, measured
+    assert out_m == 0.0, measured
+    # A car's speed controller overshoots; what it was told is the limit.
+    assert max(speeds) < 1.35 * LIMIT_M_S, measured
+
+
+async def test_four_rovers_find_what_is_hidden(tmp_path: Path) -> None:
+    result, recording = await fly(tmp_path, ["rover"] * 4)
+    judge(result, recording, "four rovers")
