@@ -141,7 +141,13 @@ def _is_down(seen: list[Any]) -> bool:
 
 async def check_vehicle_link(make: MakeVehicleLink) -> None:
     """Everything a `VehicleLink` promises: poses, take-over, goto, hold, return, refusals, closing."""
-    for check in (_reports_poses, _steers_and_holds, _refuses_nonsense, _link_closes):
+    for check in (
+        _reports_poses,
+        _steers_and_holds,
+        _stops_and_gives_its_fence_back,
+        _refuses_nonsense,
+        _link_closes,
+    ):
         async with nothing_left(), make() as bench:
             await check(bench)
 
@@ -180,6 +186,26 @@ async def _steers_and_holds(bench: VehicleLinkBench) -> None:
         await tap.until(_is(robot, "guided"), f"{robot} goes on after a hold")
         await link.return_home(robot)
         await tap.until(_is(robot, "return"), f"{robot} returns")
+
+
+async def _stops_and_gives_its_fence_back(bench: VehicleLinkBench) -> None:
+    async with bench.link as link, _beating(bench), _Tap(link.events()) as tap:
+        robot = link.robots[0]
+        await tap.until(_has_poses(robot, 1), f"a pose of {robot}")
+        await link.take_over(robot)
+        east_m, north_m = bench.start_m[robot]
+        await link.goto(robot, Waypoint(east_m + 5.0, north_m, speed_m_s=0.4))
+        await tap.until(_is(robot, "guided"), f"{robot} guided")
+        link.stop(robot)
+        await tap.until(_is(robot, "hold"), f"{robot} holds though nobody waits for it")
+        ours = [(east_m + e, north_m + n) for e, n in ((-9.0, -9.0), (9.0, -9.0), (9.0, 9.0), (-9.0, 9.0))]
+        before = await link.put_fence(robot, ours)
+        await link.restore_fence(before)
+        again = await link.put_fence(robot, ours)
+        assert again == before, f"{robot} has not got its own fence back"
+        await link.restore_fence(before)
+        if not (await link.traits(robot)).flies:
+            assert await _refuses(link.take_off(robot, 5.0)), f"{robot} does not fly, and takes off"
 
 
 async def _refuses_nonsense(bench: VehicleLinkBench) -> None:

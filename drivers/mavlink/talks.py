@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from drivers.mavlink import failsafes, inspect, parameters, timesync
 from drivers.mavlink.codec import AUTOPILOT, GROUND_STATION, Message, Packer, mavlink
 from drivers.mavlink.commands import Commander
-from drivers.mavlink.modes import COPTER, PX4
+from drivers.mavlink.modes import COPTER, PX4, ROVER
 from drivers.mavlink.plans import FENCE, KINDS, Inbox, PlanItem, PlanTalk, polygon_fence
 from drivers.mavlink.steered import Steered, refuse_double
 from drivers.mavlink.vehicle import Vehicle
@@ -24,6 +24,8 @@ from fieldkit.ports import Demands, StoredFence, Traits
 UNSIGNED_TRIES = 3
 SETTLE_S = 2.5
 """How long a vehicle has to say everything that was asked for once, and to look at its pre-arm checks again."""
+STALLS_M = 3.5
+"""How far before its own fence a rover stops, in guided and without a word (measured: 2 to 3.5 m)."""
 ENABLED = "FENCE_ENABLE"
 VERTICES = (
     mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
@@ -208,9 +210,13 @@ class Talks:
             return [
                 Check(robot, "fence", "red", found, "mend one of the two, or safety.vehicle_fence = true")
             ]
-        return [
-            Check(robot, "fence", "green", f"its own, {len(corners)} corners, {room_m:.1f} m round the field")
-        ]
+        found = f"its own, {len(corners)} corners, {room_m:.1f} m round the field"
+        if steered.vehicle.firmware is ROVER and room_m < STALLS_M:
+            remedy = (
+                f"a rover stops up to {STALLS_M:g} m before its own fence, and stays there: give it more room"
+            )
+            return [Check(robot, "fence", "amber", found, remedy)]
+        return [Check(robot, "fence", "green", found)]
 
     def _is_ours(self, robot: str, held: Sequence[PlanItem], demands: Demands) -> Check:
         wanted = self.fence_of(demands.fence_m)

@@ -97,6 +97,9 @@ async def test_a_fence_of_its_own_inside_the_field_is_red():
         field = ((-5.0, -5.0), (20.0, 20.0))
         checks = {check.name: check for check in await link.inspect("ada", Demands(1.0, (), False, field))}
         assert checks["fence"].level == "red" and "inside the mission's field" in checks["fence"].found
+        little = ((2.0, 2.0), (8.0, 8.0))
+        checks = {check.name: check for check in await link.inspect("ada", Demands(1.0, (), False, little))}
+        assert checks["fence"].level == "amber" and "stops up to 3.5 m" in checks["fence"].remedy
         room = ((4.0, 4.0), (6.0, 6.0))
         checks = {check.name: check for check in await link.inspect("ada", Demands(1.0, (), False, room))}
         assert checks["fence"].level == "green"
