@@ -161,5 +161,8 @@ class CopterAutopilot(Autopilot):
         if t_s - self._ground_since_s >= (LANDED_S if landing else DISARM_S):
             super()._arm(False)
 
+    def _relative_alt_mm(self) -> int:
+        return round(self.body.up_m * 1e3)
+
     def _landed_state(self) -> int:
         return mavlink.MAV_LANDED_STATE_ON_GROUND if self.body.on_ground else mavlink.MAV_LANDED_STATE_IN_AIR

@@ -18,7 +18,8 @@ from drivers.emulators.field import ROBOT_ADDRESS, SOURCE_ADDRESS
 from drivers.emulators.wires import PluggedModule, PtyWire, TcpWire, Wire
 from drivers.emulators.xbee import PROFILES, Module
 from drivers.links import host_and_port
-from drivers.mavlink.codec import AUTOPILOT, Parser
+from drivers.mavlink.codec import AUTOPILOT, Message, Parser
+from drivers.mavlink.modes import flies
 from drivers.mavlink.transport import Peer, make_transport
 from fieldkit.channel.antenna_file import read_antenna, with_pattern
 from fieldkit.channel.model import Antenna
@@ -62,6 +63,7 @@ class Whereabouts:
     clock: Clock
     places: dict[int, tuple[float, tuple[float, float, float, float]]] = field(default_factory=dict)
     """System id to (elapsed time, (east, north, up, heading))."""
+    _flying: dict[int, bool] = field(default_factory=dict)
     _parsers: dict[Peer, Parser] = field(default_factory=dict)
 
     def hear(self, data: bytes, peer: Peer) -> None:
@@ -69,11 +71,20 @@ class Whereabouts:
         if peer not in self._parsers and len(self._parsers) >= MAX_PEERS:
             self._parsers.clear()
         for message in self._parsers.setdefault(peer, Parser()).parse(data):
-            if message.get_type() == "GLOBAL_POSITION_INT" and message.get_srcComponent() == AUTOPILOT:
-                east_m, north_m, _ = self.frame.to_local(message.lat / 1e7, message.lon / 1e7)
-                heading_deg = 0.0 if message.hdg == 65535 else message.hdg / 100.0
-                place = (east_m, north_m, message.relative_alt / 1000.0, heading_deg)
-                self.places[message.get_srcSystem()] = (self.clock.elapsed_s(), place)
+            if message.get_srcComponent() != AUTOPILOT:
+                continue
+            if message.get_type() == "HEARTBEAT":
+                self._flying[message.get_srcSystem()] = flies(message)
+            elif message.get_type() == "GLOBAL_POSITION_INT":
+                self._place(message)
+
+    def _place(self, message: Message) -> None:
+        system_id = message.get_srcSystem()
+        east_m, north_m, _ = self.frame.to_local(message.lat / 1e7, message.lon / 1e7)
+        heading_deg = 0.0 if message.hdg == 65535 else message.hdg / 100.0
+        # A rover's relative altitude is no height above the ground: see `drivers.mavlink.vehicle`.
+        up_m = message.relative_alt / 1000.0 if self._flying.get(system_id, False) else 0.0
+        self.places[system_id] = (self.clock.elapsed_s(), (east_m, north_m, up_m, heading_deg))
 
     def of(self, system_id: int) -> tuple[float, float, float, float] | None:
         """East, north, up, heading; None where it is not heard, or not any more."""

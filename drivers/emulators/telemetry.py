@@ -117,12 +117,16 @@ class Telemetry:
             self._boot_ms(t_s),
             *self._reported(),
             round((self.frame.origin_alt_m + self.body.up_m) * 1e3),
-            round(self.body.up_m * 1e3),
+            self._relative_alt_mm(),
             north_cm_s,
             east_cm_s,
             0,
             round(self.body.heading_deg * 100) % 36000,
         )
+
+    def _relative_alt_mm(self) -> int:
+        """ArduRover's simulator gives the height above the sea here, without a word."""
+        return round((self.frame.origin_alt_m + self.body.up_m) * 1e3)
 
     def _gps_raw(self, t_s: float) -> Message:
         fix = mavlink.GPS_FIX_TYPE_NO_FIX if self.trouble.gps_lost else mavlink.GPS_FIX_TYPE_RTK_FIXED

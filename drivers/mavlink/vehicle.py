@@ -204,7 +204,8 @@ class Vehicle:
         t_ns = max(self._time.heard(message.time_boot_ms * 1_000_000, now_ns), self._pose_t_ns + 1)
         self._pose_t_ns = t_ns
         self.speed_m_s = math.hypot(message.vx, message.vy) / 100.0
-        self.up_m = message.relative_alt / 1000.0
+        # A rover's is no height above ground: ArduRover's simulator at 400 m above the sea says 400 m "above home".
+        self.up_m = message.relative_alt / 1000.0 if self.flies else 0.0
         self.home_alt_m = (message.alt - message.relative_alt) / 1000.0
         self.place = (message.lat, message.lon)
         if (message.lat, message.lon) == NO_POSITION or not self._gps_good:

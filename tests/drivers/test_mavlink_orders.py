@@ -225,6 +225,15 @@ async def test_a_link_that_has_become_slow_is_not_taken_for_a_clock_that_stood_s
         assert t.clock.now_ns() - t.poses()[-1].t_ns > 2.5e9
 
 
+async def test_what_drives_is_on_the_ground_whatever_it_calls_its_altitude():
+    """A simulated ArduRover 400 m above the sea is "400 m above its home"."""
+    async with team() as t:
+        await until(lambda: t.link._steered[1].vehicle.firmware is not None)
+        count = len(t.poses())
+        await until(lambda: len(t.poses()) > count + 2)
+        assert t.poses()[-1].up_m == 0.0
+
+
 # One that flies
 
 
