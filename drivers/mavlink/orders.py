@@ -36,6 +36,8 @@ FIND_S = 10.0
 HOLD_EVERY_S = 0.25
 """How often a hold goes out again until the vehicle shows it."""
 MODE_WAIT_S = 0.5
+STOPPING_S, STANDS_M_S = 1.0, 0.2
+"""One that stands so long after it was told to, stands."""
 CLIMB_S, CLIMB_M_S = 20.0, 0.5
 """A take-off may take so long, and longer the higher it goes."""
 HIGH_ENOUGH = 0.9
@@ -78,7 +80,8 @@ class Orders:
         """Have it hold: the first frame has left when this returns. The number of this order."""
         mine = self._newer(steered)
         steered.must_hold = True
-        steered.hold_unseen_until_s = self._clock.elapsed_s() + CONFIRM_S
+        steered.hold_told_s = self._clock.elapsed_s()
+        steered.hold_unseen_until_s = steered.hold_told_s + CONFIRM_S
         steered.speed_m_s = None
         steered.hold_seen = steered.vehicle.heartbeats
         steered.vehicle.command("hold")
@@ -105,9 +108,14 @@ class Orders:
         vehicle = steered.vehicle
         if vehicle.heartbeats <= steered.hold_seen or vehicle.actual_mode != "hold":
             return False
+        if vehicle.firmware is not PX4:
+            return True
         # PX4 goes to way-points inside its hold mode: there the mode alone shows nothing.
-        paused = self._commander.noted(vehicle, mavlink.MAV_CMD_DO_REPOSITION)
-        return vehicle.firmware is not PX4 or paused == mavlink.MAV_RESULT_ACCEPTED
+        paused = self._commander.noted(vehicle, mavlink.MAV_CMD_DO_REPOSITION) == mavlink.MAV_RESULT_ACCEPTED
+        stands = (
+            vehicle.position_s > steered.hold_told_s + STOPPING_S and (vehicle.speed_m_s or 0.0) < STANDS_M_S
+        )
+        return paused or stands
 
     def _send_hold(self, steered: Steered) -> None:
         vehicle = steered.vehicle

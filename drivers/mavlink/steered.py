@@ -49,6 +49,7 @@ class Steered:
     """It was told to hold, and nothing else since: told again while it still drives where we sent it."""
     hold_unseen_until_s: float = -math.inf
     """Until then a hold that it has not shown yet is repeated, whatever mode it is in."""
+    hold_told_s: float = -math.inf
     hold_seen: int = 0
     """Heartbeats heard when it was told: only a later one can show the hold."""
     inboxes: list[Inbox] = field(default_factory=list)

@@ -5,6 +5,7 @@ The emulated ones cannot drift from the real ones unnoticed: the same expectatio
 
 import asyncio
 import math
+import random
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
@@ -277,6 +278,53 @@ async def holds_by_itself_when_we_fall_silent(drive: Drive) -> None:
     drive.beats = True
 
 
+async def holds_though_answers_and_frames_are_lost(drive: Drive) -> None:
+    """Every acknowledgement and 30 % of what is sent is lost, while a way-point is being confirmed."""
+    await drive.ready()
+    east_m, north_m = drive.at
+    await drive.go(east_m + 40.0, north_m)
+    await drive.until(lambda: drive.speed_m_s > 0.7)
+    rng, send, heard = random.Random(5), drive.link._transport.send, drive.link._commander.heard
+    taken_s = []
+    for _ in range(5):
+        drive.link._transport.send = lambda data, peer: send(data, peer) if rng.random() > 0.3 else None
+        drive.link._commander.heard = lambda *_: None  # type: ignore[method-assign]
+        going = asyncio.create_task(drive.go(east_m + 40.0, north_m + 1.0))
+        await drive.clock.sleep(0.7)
+        began_s = drive.clock.elapsed_s()
+        await drive.link.hold(ROBOT)
+        taken_s.append(drive.clock.elapsed_s() - began_s)
+        assert drive.vehicle.actual_mode == "hold"
+        with suppress(VehicleRefused, DeviceTimeout):
+            await going
+        drive.link._transport.send, drive.link._commander.heard = send, heard  # type: ignore[method-assign]
+        await drive.go(east_m, north_m)
+        await drive.until(lambda: drive.state.mode == "guided")
+    drive.measured["longest of five holds over a bad link s"] = max(taken_s)
+
+
+async def returns_at_a_speed_of_its_own(drive: Drive) -> None:
+    """RTL takes WP_SPEED or RTL_SPEED, whatever the mission drove at: why preflight names them."""
+    await drive.ready()
+    traits = await drive.link.traits(ROBOT)
+    east_m, north_m = drive.at
+    await drive.go(east_m + 30.0, north_m)
+    await drive.until(lambda: math.dist(drive.at, (east_m + 30.0, north_m)) < 2.0)
+    await drive.stands()
+    await drive.link.return_home(ROBOT)
+    fastest = 0.0
+
+    def home() -> bool:
+        nonlocal fastest
+        fastest = max(fastest, drive.speed_m_s)
+        return math.dist(drive.at, (east_m, north_m)) < 4.0
+
+    await drive.until(home)
+    drive.measured["returns at m/s"] = fastest
+    if drive.vehicle.firmware is not PX4:
+        assert traits.return_m_s is not None and fastest > 0.7 * traits.return_m_s > 1.0
+
+
 def square(east_m: float, north_m: float, half_m: float) -> tuple[tuple[float, float], ...]:
     return tuple((east_m + x * half_m, north_m + y * half_m) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
 
@@ -291,5 +339,7 @@ SCENARIOS = {
         says_why_it_would_not_arm_when_asked,
         a_fence_is_put_and_put_back,
         holds_by_itself_when_we_fall_silent,
+        holds_though_answers_and_frames_are_lost,
+        returns_at_a_speed_of_its_own,
     )
 }

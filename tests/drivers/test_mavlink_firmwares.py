@@ -26,7 +26,10 @@ async def test_the_emulated_vehicle_does_what_a_real_one_does(profile: Profile, 
     """`tests/system/test_sitl_vehicles.py` runs the same on ArduPilot's simulators, where there are some."""
     clock, port = ScaledClock(10.0), free_udp_port()
     async with rovers_on_udp({1: (0.0, 0.0)}, clock, port, profile, gcs_failsafe_s=15.0) as vehicles:
-        vehicles[0].autopilot.body.max_speed_m_s = 2.0
+        autopilot = vehicles[0].autopilot
+        autopilot.body.max_speed_m_s = 2.0
+        own = {"WP_SPEED": 2.0, "WPNAV_SPEED": 200.0}
+        autopilot.parameters |= {name: own[name] for name in own if name in autopilot.parameters}
         link = open_link(f"udpin:127.0.0.1:{port}", {"ada": {"system_id": 1}}, around(clock))
         async with driving(link, clock, 20.0) as drive:
             await scenario(drive)

@@ -299,7 +299,8 @@ async def test_px4_whose_stop_is_lost_does_not_count_as_held():
     async with team(profile=PX4) as t:
         await t.link.take_over("ada")
         await t.link.goto("ada", here(north_m=60.0))
-        pause = mavlink.MAV_CMD_DO_REPOSITION
+        body, pause = t.rovers[0].autopilot.body, mavlink.MAV_CMD_DO_REPOSITION
+        await until(lambda: body.speed_m_s > 0.5)
         t.rovers[0].drop_in = lambda data: is_command(data, pause)
         with pytest.raises(DeviceTimeout, match="did not show mode hold"):
             await t.link.hold("ada")

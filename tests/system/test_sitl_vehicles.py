@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -37,6 +38,22 @@ async def test_a_simulated_vehicle_does_what_the_emulated_one_does(
                 await scenario(drive)
             finally:
                 report(kind, scenario.__name__, drive)
+
+
+async def test_a_vehicle_that_froze_and_goes_on_is_not_old_for_good(tmp_path: Path) -> None:
+    """Stopped by a signal for 14 s, its clock stands still: a round trip tells what the time is."""
+    clock, port = RealClock(), free_udp_port()
+    vehicle = Simulated("rover", 1, FRAME.origin_lat_deg, FRAME.origin_lon_deg)
+    async with simulators([vehicle], tmp_path, port) as (process,):
+        link = open_link(f"udpin:127.0.0.1:{port}", {"ada": {"system_id": 1}}, around(clock))
+        async with driving(link, clock, READY_S) as drive:
+            process.send_signal(signal.SIGSTOP)
+            await clock.sleep(14.0)
+            process.send_signal(signal.SIGCONT)
+            began_s = clock.elapsed_s()
+            await drive.until(lambda: drive.poses[-1].t_ns > clock.now_ns() - 1e9)
+            drive.measured["fresh again after s"] = clock.elapsed_s() - began_s
+            report("rover", "froze", drive)
 
 
 def report(kind: str, name: str, drive: Drive) -> None:
