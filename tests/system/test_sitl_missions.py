@@ -69,7 +69,7 @@ vehicle_fence_beyond_m = 8.0
 ROBOT = """\
 [[robot]]
 name = "r{number}"
-receiver = {{ driver = "xbee", port = "socket://127.0.0.1:{radio}" }}
+{flies}receiver = {{ driver = "xbee", port = "socket://127.0.0.1:{radio}" }}
 [robot.vehicle]
 driver = "mavlink"
 address = "udpin:127.0.0.1:{port}"
@@ -78,11 +78,19 @@ forward = "127.0.0.1:{copy}"
 """
 
 
-def mission_file(folder: Path, count: int, port: int, copy: int, extra: str = "") -> Path:
+def mission_file(folder: Path, kinds: Sequence[str], port: int, copy: int, extra: str = "") -> Path:
+    count = len(kinds)
     (folder / "antenna.toml").write_text(dump_antenna(AntennaFile(ANTENNA)))
     teams = "\n".join(f'[[team]]\nrobots = ["r{k}", "r{k + 1}"]' for k in range(1, count + 1, 2))
     robots = "\n".join(
-        ROBOT.format(number=k, radio=free_udp_port(), port=port, copy=copy) for k in range(1, count + 1)
+        ROBOT.format(
+            number=k,
+            radio=free_udp_port(),
+            port=port,
+            copy=copy,
+            flies="flies = true\n" if kind == "copter" else "",
+        )
+        for k, kind in enumerate(kinds, start=1)
     )
     path = folder / "mission.toml"
     path.write_text(
@@ -112,7 +120,7 @@ async def fieldkit(folder: Path, *arguments: str) -> tuple[int, str]:
 async def fly(folder: Path, kinds: Sequence[str], extra: str = "") -> tuple[dict[str, Any], Recording]:
     """Preflight until it is green, then the mission; its result and its recording."""
     port, copy = free_udp_port(), free_udp_port()
-    path = mission_file(folder, len(kinds), port, copy, extra)
+    path = mission_file(folder, kinds, port, copy, extra)
     places = [((k + 0.5) * SIZE_M / len(kinds), 8.0) for k in range(len(kinds))]
     vehicles = [
         Simulated(kind, number, *FRAME.to_geodetic(*place)[:2])
@@ -193,3 +201,14 @@ def judge(result: dict[str, Any], recording: Recording, name: str) -> None:
 async def test_four_rovers_find_what_is_hidden(tmp_path: Path) -> None:
     result, recording = await fly(tmp_path, ["rover"] * 4)
     judge(result, recording, "four rovers")
+
+
+async def test_two_rovers_and_two_copters_find_what_is_hidden(tmp_path: Path) -> None:
+    result, recording = await fly(tmp_path, ["rover", "rover", "copter", "copter"])
+    judge(result, recording, "two rovers and two copters")
+    heights = {robot: [] for robot in ("r3", "r4")}  # type: dict[str, list[float]]
+    for step in recording.steps():
+        if isinstance(step.event, Pose) and step.event.robot in heights:
+            heights[step.event.robot].append(step.event.up_m)
+    assert min(max(each) for each in heights.values()) > 2.0, "copters fly"
+    assert all(each[-1] < 1.5 for each in heights.values()), "and are down again at the end"
