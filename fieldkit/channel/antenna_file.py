@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.channel.pattern import dipole_gain_db, lobe_gain_db, table_db
+from fieldkit.channel.spread import ChannelSpread, assumed, parse_spread, table_of
 from fieldkit.errors import ConfigError
 from fieldkit.messages import FloatArray
 
-SCHEMA = 1
+SCHEMA = 2
 MODELS = ("omnidirectional", "lobe", "dipole", "tabulated")
 SHAPES: dict[str, tuple[str, ...]] = {
     "lobe": ("front_deg", "narrowness", "floor_db", "offset_db"),
@@ -43,9 +44,28 @@ class AntennaFile:
     """family, setting: free text about the radios the readings came from."""
     model: str = "omnidirectional"
     """One of `MODELS`: how the gain depends on heading."""
+    spread: ChannelSpread | None = None
+    """What readings have in common beyond the mean law; None: not measured (all files of schema 1)."""
+    receivers: dict[str, "Receiver"] = field(default_factory=dict)
+    """Each robot's own radio, by the robot's name; who is not named is as the calibrated one."""
     pattern: dict[str, Any] = field(default_factory=dict)
     """family, heading_deg (clockwise from the antenna's front), gain_db, gain_sigma_db (its standard error),
     and parameters for the models in `SHAPES`; empty: the same all round."""
+
+
+@dataclass(frozen=True, slots=True)
+class Receiver:
+    """How one robot's radio differs from the calibrated one."""
+
+    offset_db: float = 0.0
+    """How much more it reports."""
+    threshold_dbm: float | None = None
+    saturation_dbm: float | None = None
+
+
+def spread_of(file: AntennaFile) -> ChannelSpread:
+    """The file's spread, or what is assumed where it has none; `assumed` then says so."""
+    return file.spread or assumed(file.antenna, file.data)
 
 
 def gain_db(file: AntennaFile, heading_deg: ArrayLike) -> FloatArray:
@@ -181,8 +201,25 @@ def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
         data=dict(raw.get("data", {})),
         radio=dict(raw.get("radio", {})),
         model=model,
+        spread=parse_spread(raw.get("channel"), where),
+        receivers=_receivers(raw.get("receivers", {}), where),
         pattern={} if model == "omnidirectional" else dict(pattern),
     )
+
+
+def _receivers(table: Any, where: str) -> dict[str, Receiver]:
+    """One entry for each robot's radio."""
+    if not isinstance(table, dict):
+        raise ConfigError(f"{where}: receivers: expected a table for each robot's radio, got {table!r}")
+    found = {}
+    for name, entry in table.items():
+        known = {"offset_db", "threshold_dbm", "saturation_dbm"}
+        if not isinstance(entry, dict) or not set(entry) <= known or not all(map(_is_finite, entry.values())):
+            raise ConfigError(
+                f"{where}: receivers.{name}: expected finite numbers under {', '.join(sorted(known))}, got {entry!r}"
+            )
+        found[name] = Receiver(**{key: float(value) for key, value in entry.items()})
+    return found
 
 
 def _check_pattern(pattern: Any, model: str, where: str) -> None:
@@ -252,6 +289,13 @@ def dump_antenna(file: AntennaFile) -> str:
             parameters.value.item(name).comment(notes[name])  # type: ignore[union-attr]
     document["parameters"] = parameters
     document["verdict"] = {"state": file.verdict, "reasons": list(file.reasons)}
+    if file.spread is not None:
+        document["channel"] = table_of(file.spread)
+    if file.receivers:
+        document["receivers"] = {
+            name: {key: value for key, value in asdict(radio).items() if value is not None}
+            for name, radio in file.receivers.items()
+        }
     if file.intervals_95:
         document["intervals_95"] = {name: list(pair) for name, pair in file.intervals_95.items()}
     for name in ("pattern", "covariance", "data", "radio"):
