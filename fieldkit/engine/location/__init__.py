@@ -1,0 +1,1 @@
+"""Where the sources of a whole log are: readings taken together, in metres, without a grid that promises anything."""
