@@ -1,7 +1,7 @@
 """`fieldkit survey`. What it needs is imported when it runs."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -11,13 +11,40 @@ def survey(
     positions: Annotated[Path, typer.Argument(help="Positions: .csv, .gpx, .tlog, .bin or .mcap.")],
     antenna: Annotated[Path, typer.Option(help="Antenna file of the radio that was carried.")],
     robot: Annotated[str, typer.Option(help="Name of the only receiver, where a log has none.")] = "radio",
-    margin_m: Annotated[float, typer.Option(min=0.1, help="How far beyond the path to look.")] = 20.0,
+    margin_m: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1, help="How far beyond the path to look; default: 0.6 of its width, 20 m or more."
+        ),
+    ] = None,
     cell_m: Annotated[
-        float | None, typer.Option(min=0.01, help="Cell size; default: 80 along a side.")
+        float | None, typer.Option(min=0.01, help="No longer used: regions are as fine as they need be.")
     ] = None,
     power_db: Annotated[
-        list[float] | None, typer.Option(help="Power above the calibrated transmitter's; repeat for several.")
+        list[float] | None,
+        typer.Option(
+            help="Known power above the calibrated transmitter's; repeat for several. Default: unknown."
+        ),
     ] = None,
+    power_sd_db: Annotated[
+        float | None, typer.Option(min=0.0, help="How far its power may be from the calibrated ones'.")
+    ] = None,
+    source_up_m: Annotated[
+        float, typer.Option(help="Height of the transmitters, as the positions count it.")
+    ] = 0.0,
+    identity: Annotated[
+        Literal["anonymous", "address"], typer.Option(help="address: each sender's name is one source.")
+    ] = "anonymous",
+    relative: Annotated[
+        bool, typer.Option("--relative", help="Levels are dB against anything, not dBm.")
+    ] = False,
+    found_within_m: Annotated[
+        float | None,
+        typer.Option(min=0.01, help="A find is this near; default: 2 m or a tenth of the range."),
+    ] = None,
+    found_probability: Annotated[
+        float, typer.Option(min=0.01, max=0.999, help="With this probability.")
+    ] = 0.9,
     rate_hz: Annotated[float, typer.Option(min=1e-6, help="How often a typical source sends.")] = 0.05,
     expected: Annotated[float, typer.Option(min=0.01, help="Sources expected beforehand.")] = 1.0,
     window_s: Annotated[float, typer.Option(min=0.001, help="Receptions this close are one packet.")] = 0.1,
@@ -33,29 +60,47 @@ def survey(
     """
     import json
 
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
     from drivers.positions.readings import read_readings
     from drivers.positions.survey import Settings, as_geojson, evaluate
     from drivers.positions.survey import as_json as plain
     from drivers.positions.tracks import ONLY, read_track
-    from fieldkit.channel.antenna_file import read_antenna
+    from fieldkit.channel.antenna_file import read_antenna, spread_of
     from fieldkit.files import write_whole
 
-    radio = read_antenna(antenna, allow_refused=allow_refused).antenna
+    file = read_antenna(antenna, allow_refused=allow_refused)
     track = read_track(positions)
     if {spot.robot for spot in track.spots} == {ONLY} and robot != ONLY:
         track = read_track(positions, robot)
     settings = Settings(
-        radio,
+        file.antenna,
         margin_m,
         cell_m,
-        tuple(power_db or (0.0,)),
+        tuple(power_db or ()),
         rate_hz,
         expected,
         window_s,
         max_gap_s,
         shift_s,
+        spread=spread_of(file),
+        receivers=file.receivers,
+        power_sd_db=power_sd_db,
+        source_up_m=source_up_m,
+        identity=identity == "address",
+        found_within_m=found_within_m,
+        found_probability=found_probability,
     )
-    result = evaluate(read_readings(readings, robot), track, settings)
+    notes: list[str] = []
+    heard = read_readings(readings, robot, relative=relative, notes=notes)
+    if assumption := spread_of(file).assumed:
+        notes.append(f"{antenna.name}: {assumption}")
+    columns = (TextColumn("locating"), BarColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("locating", total=1.0)
+        result = evaluate(heard, track, settings, lambda share: bar.update(task, completed=share))
+    result.notes[:0] = notes
     if geojson is not None:
         write_whole(geojson, json.dumps(as_geojson(result, track)))
     told = plain(result)
@@ -66,6 +111,8 @@ def survey(
         f"{result.readings} readings in {result.duration_s:.0f} s, {result.detections} transmissions; "
         f"{result.without_place} readings at moments without a position"
     )
+    for note in told["notes"]:
+        typer.echo(f"note: {note}")
     for each in told["candidates"]:
         place = f"{each['east_m']:8.2f} m east {each['north_m']:8.2f} m north"
         if "lat_deg" in each:

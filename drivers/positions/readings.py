@@ -10,24 +10,32 @@ from fieldkit.messages import ReceiverState, RssReading
 Heard = RssReading | ReceiverState
 
 
-def read_readings(path: Path, robot: str = ONLY) -> list[Heard]:
+def read_readings(
+    path: Path, robot: str = ONLY, *, relative: bool = False, notes: list[str] | None = None
+) -> list[Heard]:
     """Readings and receivers' states, in order of time. `robot` names the receiver of a log without names.
+
+    `relative`: levels are dB against whatever, so any finite number is one. What was left out is added to `notes`.
 
     Raises `DataError` where it is missing, of an unknown kind, or nothing was heard.
     """
-    kinds = {".csv": _csv, ".mcap": _recording, ".pcap": _capture, ".pcapng": _capture}
-    reader = kinds.get(path.suffix.lower())
-    if reader is None:
-        raise DataError(f"{path}: expected one of {', '.join(kinds)}, got '{path.suffix}'")
+    kinds = {".mcap": _recording, ".pcap": _capture, ".pcapng": _capture}
+    ending = path.suffix.lower()
+    if ending != ".csv" and ending not in kinds:
+        raise DataError(f"{path}: expected one of .csv, {', '.join(kinds)}, got '{path.suffix}'")
     if not path.is_file():
         raise DataError(f"{path}: no such file")
-    heard = sorted(reader(path, robot), key=lambda item: item.t_ns)
+    if ending == ".csv":
+        found = _csv(path, robot, relative, notes if notes is not None else [])
+    else:
+        found = kinds[ending](path, robot)
+    heard = sorted(found, key=lambda item: item.t_ns)
     if not any(isinstance(item, RssReading) for item in heard):
         raise DataError(f"{path}: holds no reading of received strength")
     return heard
 
 
-def _csv(path: Path, robot: str) -> list[Heard]:
+def _csv(path: Path, robot: str, relative: bool, notes: list[str]) -> list[Heard]:
     """Rows whose strength is empty are packets that were not heard: silence says that already."""
     table = read_table(path)
     if "rss_dbm" not in table.names:
@@ -35,9 +43,12 @@ def _csv(path: Path, robot: str) -> list[Heard]:
     heard: list[Heard] = []
     for line, t_ns, row in timed(table):
         rss_dbm = number(row, "rss_dbm")
-        if rss_dbm is None or not -150.0 <= rss_dbm < 0.0:
+        if rss_dbm is None or not (relative or -150.0 <= rss_dbm < 0.0):
             if row["rss_dbm"]:
-                table.bad(line, f"{row['rss_dbm']!r} is no received power in dBm")
+                table.bad(
+                    line,
+                    f"{row['rss_dbm']!r} is no received power in dBm (relative dB: say so with --relative)",
+                )
             continue
         channel = number(row, "channel")
         heard.append(
@@ -47,11 +58,12 @@ def _csv(path: Path, robot: str) -> list[Heard]:
                 rss_dbm,
                 "sim",
                 None if channel is None else int(channel),
-                row.get("frame_id") or None,
+                row.get("frame_id") or row.get("address") or None,
             )
         )
     if table.skipped > len(heard):
         raise DataError(f"{path}: {table.skipped} rows cannot be read; the first is {table.first_bad}")
+    notes += table.notes()
     return heard
 
 

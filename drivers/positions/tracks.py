@@ -44,6 +44,10 @@ class Track:
     spots: list[Spot] = field(default_factory=list)
     skipped: int = 0
     """Entries that could not be read or had no fix."""
+    notes: list[str] = field(default_factory=list)
+    """What was left out, in words."""
+    heights: bool = False
+    """Whether the log says how high."""
 
 
 def read_track(path: Path, robot: str | None = None) -> Track:
@@ -118,8 +122,14 @@ def track_of(table: Table) -> Track:
         sigma_m = number(row, "sigma_m")
         sigma_m = (GPS_SIGMA_M if geodetic else 0.05) if sigma_m is None else sigma_m
         heading = (number(row, "heading_deg") or 0.0) % 360.0
-        _add(track, Spot(t_ns, row.get("robot") or ONLY, one, other, 0.0, heading, sigma_m))
+        up_m = number(row, "up_m")
+        if "up_m" in table.names and up_m is None:
+            table.bad(line, "no height, and other rows have one")
+            continue
+        _add(track, Spot(t_ns, row.get("robot") or ONLY, one, other, up_m or 0.0, heading, sigma_m))
     track.skipped += table.skipped
+    track.notes += table.notes()
+    track.heights = "up_m" in table.names
     return track
 
 

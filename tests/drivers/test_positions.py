@@ -191,7 +191,7 @@ def test_readings_are_read_and_silence_is_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("time_s,rssi\n1,-70\n", "rss_dbm"),
+        ("time_s,loudness\n1,-70\n", "rss_dbm"),
         ("time_s,rss_dbm\n1,\n", "no reading"),
         ("time_s,rss_dbm\n1,70\n2,71\n", "no received power"),
     ],
