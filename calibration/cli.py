@@ -69,6 +69,9 @@ def fit(
     ] = "none",
     place_cell_m: _PLACE = None,
     negate: _NEGATE = False,
+    relative: Annotated[
+        bool, typer.Option("--relative", help="Levels are dB against anything, not dBm.")
+    ] = False,
     source: _SOURCE = None,
     radio: Annotated[
         str, typer.Option(help="Settings of the radios, as 'PL=4, channel 15', to be remembered in the file.")
@@ -96,7 +99,7 @@ def fit(
     from fieldkit.channel.antenna_file import dump_antenna
     from fieldkit.files import write_whole
 
-    how = Reading(_pairs(column), _pairs(where), place_cell_m, negate, source)
+    how = Reading(_pairs(column), _pairs(where), place_cell_m, negate, source, relative=relative)
     data, notes = read_log(readings, how)
     data = replace(data, warnings=(*data.warnings, *notes))
     options = Options(missed, saturation_dbm, min_distance_m, receiver_offsets)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.geometry import alternatives, geometry
+from calibration.geometry import alternatives, climb, geometry
 from calibration.table import Table, read_table
 from fieldkit.errors import DataError
 from fieldkit.messages import FloatArray
@@ -41,6 +41,8 @@ class Readings:
     tx_m: FloatArray | None = None
     """(n, 2) east, north; None where only distances were given."""
     rx_m: FloatArray | None = None
+    climb_m: FloatArray | None = None
+    """(n,) how much higher the receiver was than the transmitter; None where the file gives no heights."""
     warnings: tuple[str, ...] = ()
     sha256: str = ""
     alternatives: dict[str, FloatArray] = field(default_factory=dict)
@@ -72,6 +74,7 @@ class Readings:
             order=cut(self.order),
             tx_m=cut(self.tx_m),
             rx_m=cut(self.rx_m),
+            climb_m=cut(self.climb_m),
             alternatives={name: distance[rows] for name, distance in self.alternatives.items()},
         )
 
@@ -104,6 +107,7 @@ def read_readings(
     where: Mapping[str, str] | None = None,
     place_cell_m: float | None = None,
     negate: bool = False,
+    relative: bool = False,
     text: str | None = None,
 ) -> Readings:
     """Read and check a CSV, or `text` that was made of one. Raises `DataError` naming file, line and remedy."""
@@ -119,7 +123,10 @@ def read_readings(
         raise DataError(f"{path}: has a header and no rows")
     rss = table.numbers("rss_dbm", empty=float("nan"))
     rss = -rss if negate else rss
-    sanity.check_levels(table, rss)
+    if not relative:
+        sanity.check_levels(table, rss)
+    elif np.isnan(rss).all():
+        raise table.error(0, "no packet was received in the whole file: there is nothing to fit")
     distance, tx, rx, notes = geometry(table)
     place, places = _places(table, distance, tx, rx, place_cell_m)
     receiver, receivers = _codes(table.columns["receiver"]) if "receiver" in table.columns else (None, ())
@@ -136,6 +143,7 @@ def read_readings(
         order=_order(table),
         tx_m=tx,
         rx_m=rx,
+        climb_m=climb(table),
         warnings=tuple(notes),
         alternatives=alternatives(table, tx, rx),
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),

@@ -16,15 +16,18 @@ def geometry(table: Table) -> tuple[FloatArray, FloatArray | None, FloatArray | 
     """Distances (n,), and positions (n, 2) where the file gives them."""
     have = table.columns
     tx = rx = None
-    climb = np.zeros(len(table))
-    if "tx_up_m" in have and "rx_up_m" in have:
-        climb = table.numbers("rx_up_m") - table.numbers("tx_up_m")
+    higher = climb(table)
+    _check_heights(table)
     if all(name in have for name in _TX_RX):
         east0, north0, east1, north1 = (table.numbers(name) for name in _TX_RX)
         tx, rx = np.column_stack([east0, north0]), np.column_stack([east1, north1])
     elif all(name in have for name in _LAT_LON):
         tx, rx = _local(table)
-    between = None if tx is None or rx is None else np.hypot(np.hypot(*(rx - tx).T), climb)
+    between = (
+        None
+        if tx is None or rx is None
+        else np.hypot(np.hypot(*(rx - tx).T), 0.0 if higher is None else higher)
+    )
     if "distance_m" not in have and between is None:
         raise DataError(
             f"{table.path}: no distances; give distance_m, or {', '.join(_TX_RX)}, or {', '.join(_LAT_LON)}"
@@ -36,6 +39,14 @@ def geometry(table: Table) -> tuple[FloatArray, FloatArray | None, FloatArray | 
             far_off = np.abs(distance - between) > 0.05 + 0.05 * distance
             if far_off.any():
                 row = int(np.argmax(far_off))
+                factor = float(np.median(distance[far_off] / np.maximum(between[far_off], 1e-9)))
+                if far_off.mean() > 0.5 and not 0.5 < factor < 2.0:
+                    raise table.error(
+                        row,
+                        f"distance_m is {distance[row]:g} m and the positions are {between[row]:.3g} m apart, and so "
+                        f"in {far_off.sum()} rows: a factor of {factor:.3g} between them; correct the unit of one, or "
+                        "leave out the wrong columns",
+                    )
                 notes.append(
                     f"{far_off.sum()} rows have a distance_m that their positions contradict, first in "
                     f"line {table.lines[row]} ({distance[row]:g} m against {between[row]:.3g} m); "
@@ -52,6 +63,24 @@ def geometry(table: Table) -> tuple[FloatArray, FloatArray | None, FloatArray | 
             "correct the positions, or delete the row",
         )
     return distance, tx, rx, notes
+
+
+def climb(table: Table) -> FloatArray | None:
+    """(n,) how much higher the receiver was; None without heights of both ends."""
+    if "tx_up_m" not in table.columns or "rx_up_m" not in table.columns:
+        return None
+    return table.numbers("rx_up_m") - table.numbers("tx_up_m")
+
+
+def _check_heights(table: Table) -> None:
+    """Heights of one end only cannot be used, and leaving them out in silence would be two dimensions for three."""
+    given = [name for name in ("tx_up_m", "rx_up_m") if name in table.columns]
+    if len(given) != 1:
+        return
+    heights = table.numbers(given[0])
+    if np.ptp(heights) > 0.0 or heights[0] != 0.0:
+        other = "rx_up_m" if given[0] == "tx_up_m" else "tx_up_m"
+        raise DataError(f"{table.path}: has {given[0]} and no {other}: give both heights, or neither")
 
 
 def _local(table: Table) -> tuple[FloatArray, FloatArray]:

@@ -24,6 +24,8 @@ class Reading:
     positions: Path | None = None
     """A position log that goes with a table without positions."""
     clock_offset_s: float | None = None
+    relative: bool = False
+    """Levels are dB against anything."""
 
 
 def as_readings_csv(log: Path, how: Reading) -> tuple[str | None, list[str]]:
@@ -49,8 +51,15 @@ def read_log(log: Path, how: Reading) -> tuple[Readings, list[str]]:
     text, notes = as_readings_csv(log, how)
     if text is None:
         readings = read_readings(
-            log, names=how.names, where=how.where, place_cell_m=how.place_cell_m, negate=how.negate
+            log,
+            names=how.names,
+            where=how.where,
+            place_cell_m=how.place_cell_m,
+            negate=how.negate,
+            relative=how.relative,
         )
     else:
-        readings = read_readings(log, text=text, place_cell_m=how.place_cell_m, negate=how.negate)
+        readings = read_readings(
+            log, text=text, place_cell_m=how.place_cell_m, negate=how.negate, relative=how.relative
+        )
     return readings, notes

@@ -4,10 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from calibration import channel
 from calibration.fit import FitResult
 from calibration.patterns import Pattern
 from calibration.verdict import Judgement
-from fieldkit.channel.antenna_file import SHAPES, AntennaFile
+from fieldkit.channel.antenna_file import SHAPES, AntennaFile, Receiver
+from fieldkit.channel.spread import table_of
 
 _NAMES = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
 
@@ -37,6 +39,7 @@ def antenna_file(
             data[name] = getattr(result, name)
     if result.receiver_offsets_db:
         data["receiver_offsets_db"] = {name: value for name, (value, _) in result.receiver_offsets_db.items()}
+    spread, _, _ = channel.measured(result)
     return AntennaFile(
         antenna=result.antenna,
         verdict=judgement.state,
@@ -45,6 +48,8 @@ def antenna_file(
         covariance={"names": list(_NAMES), "matrix": covariance(result).tolist()},
         data=data,
         radio={name: text for name, text in (("family", family), ("setting", radio)) if text},
+        spread=spread,
+        receivers={name: Receiver(value) for name, (value, _) in result.receiver_offsets_db.items()},
         model=_model(pattern),
         pattern={} if pattern is None or _round(pattern) else _table(pattern),
     )
@@ -87,9 +92,17 @@ def plain(result: FitResult, judgement: Judgement, pattern: Pattern | None = Non
         "refusals": list(judgement.refusals),
         "warnings": list(judgement.warnings),
         **_values(result),
+        "channel": _channel(result),
     }
     # JSON has no word for infinity, which an interval from three places may well reach.
     return {name: _finite(value) for name, value in said.items()}
+
+
+def _channel(result: FitResult) -> dict[str, Any]:
+    """The spread under the names of the antenna file, with the correlation length's interval."""
+    spread, found, _ = channel.measured(result)
+    interval = {} if found is None else {"correlation_95_m": list(found.correlation_95_m)}
+    return {**table_of(spread), **interval}
 
 
 def _finite(value: Any) -> Any:
@@ -118,6 +131,7 @@ def words(result: FitResult, judgement: Judgement, pattern: Pattern | None = Non
             f"{result.sigma_place_db:.1f} dB "
             "from place to place (more readings at one place do not reduce it)"
         )
+    lines += channel.words(*channel.measured(result))
     if pattern is not None:
         _, gain = pattern.table()
         tried = ", ".join(f"{name} {value:.0f}" for name, value in pattern.bic.items())
