@@ -358,6 +358,9 @@ def study(
     dask: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run on the Dask cluster of this scheduler.")
     ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of data sets, for a study of real readings (reality).")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run many simulated trials and measure: time, false finds, coverage.
@@ -374,7 +377,12 @@ def study(
 
     run_study = plugins.load("fieldkit.studies", name)
     how = supported(
-        run_study, name, workers=workers, dask=dask, kept=None if out is None else out / "trials.jsonl"
+        run_study,
+        name,
+        workers=workers,
+        dask=dask,
+        data=data,
+        kept=None if out is None else out / "trials.jsonl",
     )
     columns = (TextColumn("{task.description}"), BarColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:

@@ -6,7 +6,7 @@ from typing import Any
 
 from fieldkit.files import write_whole
 
-BULKY = ("times_s", "trials_table")
+BULKY = ("times_s", "trials_table", "surveys_table")
 """Parts of a result that hold every trial: for files, not for the screen."""
 
 
@@ -22,3 +22,7 @@ def save(result: dict[str, Any], folder: Path) -> None:
         from mission.lab.study.plot import plot_times
 
         plot_times(result, folder / "times.png")
+    if "surveys_table" in result:
+        from mission.lab.study.plot import plot_surveys
+
+        plot_surveys(result, folder / "reality.png")
