@@ -63,6 +63,7 @@ class Autopilot(Telemetry):
         self._heartbeat_s: float | None = None
         """When the ground station's last heartbeat came."""
         self._failsafe = False
+        self._station_lost = False
         self._low_since_s: float | None = None
         self._battery_failsafe = False
         self._said_s = -math.inf
@@ -326,7 +327,7 @@ class Autopilot(Telemetry):
         off = self.parameters.get("FS_GCS_ENABLE") == 0 or self.parameters.get("NAV_DLL_ACT") == 0
         if off or not self.gcs_failsafe_s or self._heartbeat_s is None:
             return
-        lost = t_s - self._heartbeat_s > self._silence_s
+        self._station_lost = lost = t_s - self._heartbeat_s > self._silence_s
         if lost and not self._failsafe and self.armed:
             self._failsafe = True
             self._gcs_failsafe()

@@ -79,6 +79,9 @@ class CopterAutopilot(Autopilot):
         self._aim(message.lat_int, message.lon_int)
         self._up_m = message.alt
 
+    def _why_not_to_arm(self) -> str:
+        return super()._why_not_to_arm() or ("GCS failsafe on" if self._station_lost else "")
+
     def _arm(self, wanted: bool) -> int:
         if wanted and not self.armed and self.mode in NOT_ARMABLE:
             self.say("Arm: Mode not armable", mavlink.MAV_SEVERITY_CRITICAL)

@@ -11,7 +11,7 @@ import logging
 import math
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,6 +34,7 @@ OUTSIDE_M = 1.0
 OLD_CALIBRATION_S = 90 * 86_400.0
 DISK_RED_BYTES, DISK_AMBER_BYTES = 500_000_000, 5_000_000_000
 CPU_AMBER_SHARE = 0.7
+BEAT_S = 1.0
 
 
 @dataclass
@@ -78,16 +79,28 @@ async def preflight(mission: Mission, rig: Rig, folder: Path, listen_s: float) -
 
 
 async def _ask_all(fences: VehicleFences, mission: Mission, rig: Rig, listen_s: float) -> list[Check]:
-    """What the vehicles say, once they have the fence that the mission gives them."""
+    """What the vehicles say, once they have the fence that the mission gives them.
+
+    They hear our heartbeat meanwhile: ArduCopter does not arm while its ground station is silent.
+    """
+    beating = asyncio.create_task(_beat(set(fences.link_of.values()), rig))
     try:
         checks = await fences.put(list(fences.link_of))
         asked = [_ask(link, robot, mission) for robot, link in fences.link_of.items()]
         inspected, _ = await asyncio.gather(asyncio.gather(*asked), rig.clock.sleep(listen_s))
     finally:
         await fences.restore()
+        await _end(beating)
     for found in inspected:
         checks += found
     return checks
+
+
+async def _beat(links: Iterable[VehicleLink], rig: Rig) -> None:
+    while True:
+        for link in links:
+            link.beat()
+        await rig.clock.sleep(BEAT_S)
 
 
 def _say(level: str, text: str) -> None:

@@ -249,6 +249,21 @@ async def test_a_copter_is_sent_nowhere_without_an_altitude():
         assert not sent.commands(mavlink.MAV_CMD_DO_REPOSITION)
 
 
+async def test_a_copter_does_not_arm_while_its_ground_station_is_silent():
+    """Measured: between two runs of a preflight it lost us, and said "GCS failsafe on"."""
+    async with team(profile=COPTER, gcs_failsafe_s=6.0) as t:
+        await until(lambda: t.sent_to(t.rovers[0], "HEARTBEAT"))
+        t.beating = False
+        await until(lambda: t.rovers[0].autopilot._why_not_to_arm() == "GCS failsafe on")
+        with pytest.raises(VehicleRefused, match="GCS failsafe on"):
+            t.rovers[0].drop_in = lambda data: any(m.get_type() == "HEARTBEAT" for m in Parser().parse(data))
+            await t.link.take_over("ada")
+        t.rovers[0].drop_in = lambda _: False
+        t.beating = True
+        await until(lambda: not t.rovers[0].autopilot._why_not_to_arm())
+        await t.link.take_over("ada")
+
+
 async def test_a_copter_takes_off_and_a_hold_stops_its_climb():
     async with team(profile=COPTER) as t:
         await t.link.take_over("ada")
