@@ -103,10 +103,10 @@ def run(
     from fieldkit.recording.reader import open_recording
     from mission.analysis.report import write_report
     from mission.core.mission_file import read_mission
-    from mission.lab.demo import fly
     from mission.replay.command import plain_source
     from mission.replay.replay import resumable
     from mission.shell import setups
+    from mission.shell.flight import fly
     from mission.shell.terminal import Watch, sources_table
     from mission.shell.warm_up import warm_up
 
@@ -117,7 +117,7 @@ def run(
         mission = resumable(past)
     elif mission_file is not None:
         mission = read_mission(mission_file)
-    rig = setups.live(mission)
+    setup = setups.live(mission)
     warm_up(mission)
     folder = _run_folder(out)
     write_whole(folder / "mission.toml", mission.text)
@@ -128,7 +128,7 @@ def run(
         Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
     ):
         runner = fly(
-            mission, rig, folder / "mission.mcap", watch.show, page=shown, override=override, past=past
+            mission, setup, folder / "mission.mcap", watch.show, page=shown, override=override, past=past
         )
     write_report(folder / "mission.mcap", folder / "report.html")
     finds = [plain_source(source) for source in runner.kernel.sources()]

@@ -65,7 +65,7 @@ class KernelSettings:
 
 
 MOST_AT_ONCE = 5
-"""Transmissions taken in at one tick: a step that takes seconds would leave nobody at the helm."""
+"""Transmissions taken in at one tick: a step that takes seconds would leave nobody to steer."""
 MOST_WAITING = 200
 REFLECT_S = 2.0
 """Thinking over waits for a moment without a transmission, but no longer than this."""
@@ -101,7 +101,7 @@ class _Robot:
 
 
 @dataclass
-class _Errand:
+class _Task:
     """A team on its way along a plan."""
 
     paths: dict[str, tuple[Waypoint, ...]]
@@ -140,7 +140,7 @@ class Kernel:
         self.left_out = 0
         """Transmissions that were not thought about for lack of time."""
         self._now_ns = 0
-        self._errands: dict[tuple[str, ...], _Errand] = {}
+        self._tasks: dict[tuple[str, ...], _Task] = {}
         self._next_plan_ns: int | None = None
         self._reflected_ns = 0
         self._unplanned: set[tuple[str, ...]] = set()
@@ -216,7 +216,7 @@ class Kernel:
                 robot.held = True
             elif robot is not None and event.action == "resume":
                 robot.held = False
-        self._errands = {team: e for team, e in self._errands.items() if not any(r in targets for r in team)}
+        self._tasks = {team: e for team, e in self._tasks.items() if not any(r in targets for r in team)}
         if event.action == "resume":
             self._next_plan_ns = None
         if event.action == "end":
@@ -241,7 +241,7 @@ class Kernel:
         self._closed = KeepOut((*self._closed.polygons, event.area_m))
         planner = plugins.load("fieldkit.planners", self.settings.planner)
         self.planner = planner(replace(self.settings.engine, keep_out=self._closed))
-        self._errands.clear()
+        self._tasks.clear()
         self._next_plan_ns = None
         return Outcome(notes=("operator: an area was closed to all robots",))
 
@@ -324,7 +324,7 @@ class Kernel:
         if self._next_plan_ns is None or now_ns >= self._next_plan_ns or found_more:
             self._next_plan_ns = now_ns + round(self.settings.engine.planning_period_s * 1e9)
             self._unplanned = set(teams)
-        self._unplanned.update(team for team in teams if team not in self._errands)
+        self._unplanned.update(team for team in teams if team not in self._tasks)
         waiting = sorted(self._unplanned.intersection(teams), key=lambda t: (self._planned_ns.get(t, 0), t))
         if self._team_by_team:
             waiting = waiting[:1]
@@ -386,7 +386,7 @@ class Kernel:
 
     def _end(self, now_ns: int, reason: str) -> Outcome:
         self.ended = True
-        self._errands.clear()
+        self._tasks.clear()
         return Outcome(commands=(EndMission(now_ns, reason),), notes=(f"end: {reason}",))
 
     def _steerable(self, name: str) -> bool:
@@ -405,8 +405,8 @@ class Kernel:
     def _plan(self, now_ns: int, teams: tuple[tuple[str, ...], ...]) -> Plan | None:
         if not teams:
             return None
-        self._errands = {
-            team: e for team, e in self._errands.items() if team not in teams and team in self._teams()
+        self._tasks = {
+            team: e for team, e in self._tasks.items() if team not in teams and team in self._teams()
         }
         position = {
             name: (robot.pose.east_m, robot.pose.north_m)
@@ -414,15 +414,14 @@ class Kernel:
             if robot.pose is not None
         }
         busy = {
-            team: Plan(now_ns, {r: p[e.leg :] for r, p in e.paths.items()})
-            for team, e in self._errands.items()
+            team: Plan(now_ns, {r: p[e.leg :] for r, p in e.paths.items()}) for team, e in self._tasks.items()
         }
         range_m = {name: left for name in position if (left := self._range_m(name)) is not None}
         home_m = {name: robot.home_m for name, robot in self.robots.items() if robot.home_m is not None}
         plan = self.planner.plan(Situation(now_ns, position, teams, busy, range_m, home_m), self.belief)
         for team in teams:
             paths = {robot: plan.paths.get(robot, ()) for robot in team}
-            self._errands[team] = _Errand(paths)
+            self._tasks[team] = _Task(paths)
         return plan
 
     def _range_m(self, name: str) -> float | None:
@@ -435,45 +434,45 @@ class Kernel:
     def _follow(self, now_ns: int) -> list[Command]:
         """Send a team to its next way-points once all its robots have arrived, or it has taken too long."""
         commands: list[Command] = []
-        for team, errand in list(self._errands.items()):
+        for team, task in list(self._tasks.items()):
             if any(not self._steerable(robot) for robot in team):
-                del self._errands[team]
+                del self._tasks[team]
                 continue
-            legs = max((len(path) for path in errand.paths.values()), default=0)
-            if errand.sent and errand.leg < legs and self._leg_done(errand, now_ns):
-                errand.leg += 1
-                errand.sent = False
-            if errand.leg >= legs:
-                if legs or (now_ns - errand.leg_started_ns) * 1e-9 > self.settings.engine.planning_period_s:
-                    del self._errands[team]
+            legs = max((len(path) for path in task.paths.values()), default=0)
+            if task.sent and task.leg < legs and self._leg_done(task, now_ns):
+                task.leg += 1
+                task.sent = False
+            if task.leg >= legs:
+                if legs or (now_ns - task.leg_started_ns) * 1e-9 > self.settings.engine.planning_period_s:
+                    del self._tasks[team]
                 continue
-            if not errand.sent:
-                commands += self._send_leg(errand, now_ns)
+            if not task.sent:
+                commands += self._send_leg(task, now_ns)
         return commands
 
-    def _send_leg(self, errand: _Errand, now_ns: int) -> list[Command]:
-        errand.sent, errand.leg_started_ns = True, now_ns
+    def _send_leg(self, task: _Task, now_ns: int) -> list[Command]:
+        task.sent, task.leg_started_ns = True, now_ns
         limit_s = 0.0
         commands: list[Command] = []
-        for robot, path in errand.paths.items():
-            if errand.leg < len(path):
-                target = path[errand.leg]
+        for robot, path in task.paths.items():
+            if task.leg < len(path):
+                target = path[task.leg]
                 commands.append(GoTo(now_ns, robot, target))
                 limit_s = max(limit_s, self._distance(robot, target) / max(target.speed_m_s, 1e-3))
-        errand.leg_limit_s = 1.3 * limit_s + 5.0
+        task.leg_limit_s = 1.3 * limit_s + 5.0
         return commands
 
-    def _leg_done(self, errand: _Errand, now_ns: int) -> bool:
-        if (now_ns - errand.leg_started_ns) * 1e-9 > errand.leg_limit_s:
+    def _leg_done(self, task: _Task, now_ns: int) -> bool:
+        if (now_ns - task.leg_started_ns) * 1e-9 > task.leg_limit_s:
             return True
         return all(
-            errand.leg >= len(path) or self._distance(robot, path[errand.leg]) <= self.settings.arrive_m
-            for robot, path in errand.paths.items()
+            task.leg >= len(path) or self._distance(robot, path[task.leg]) <= self.settings.arrive_m
+            for robot, path in task.paths.items()
         )
 
     def _distance(self, robot: str, target: Waypoint) -> float:
         pose = self.robots[robot].pose
-        assert pose is not None  # only steerable robots have errands
+        assert pose is not None  # only steerable robots have tasks
         return float(np.hypot(target.east_m - pose.east_m, target.north_m - pose.north_m))
 
 

@@ -1,4 +1,4 @@
-"""mission.toml: read, checked at this edge, and turned into what kernel, safety and rigs are given."""
+"""mission.toml: read, checked at this edge, and turned into what kernel, safety and setups are given."""
 
 import math
 import tomllib
@@ -202,7 +202,7 @@ class MissionFile(_Table):
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """A mission that has been checked: everything its rig, kernel and safety need."""
+    """A mission that has been checked: everything its setup, kernel and safety need."""
 
     file: MissionFile
     text: str

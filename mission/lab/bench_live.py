@@ -57,11 +57,11 @@ def _at(rate_hz: float) -> dict[str, Any]:
             TransientSource(gap_m * (k + 0.5), FIELD_M / 2, 0.0, rate_hz / SOURCES) for k in range(SOURCES)
         )
         with (
-            setups.emulated(mission, sources, seed=1, rate=1.0) as rig,
+            setups.emulated(mission, sources, seed=1, rate=1.0) as setup,
             RecordingWriter(Path(folder) / "mission.mcap", mission_toml=mission.text) as recorder,
             serve.live(mission) as shown,
         ):
-            runner = Runner(mission, rig, recorder, followers=(shown.follower,))
+            runner = Runner(mission, setup, recorder, followers=(shown.follower,))
             return asyncio.run(_measure(runner, shown))
 
 
@@ -87,7 +87,7 @@ def _mission(folder: Path, rate_hz: float) -> Mission:
 
 
 async def _measure(runner: Runner, shown: serve.LivePage) -> dict[str, Any]:
-    clock, kernel = runner.rig.clock, runner.kernel
+    clock, kernel = runner.setup.clock, runner.kernel
     late_ms: list[float] = []
     heard: list[int] = []
     detect_all = kernel.belief.detect_all
@@ -142,7 +142,7 @@ async def _hold_all(runner: Runner, viewer: "_Viewer") -> dict[str, Any]:
 
         link.hold = watched
 
-    for link in runner.rig.links:
+    for link in runner.setup.links:
         watch(link)
     asked_s = wall_s()
     viewer.hold_all()

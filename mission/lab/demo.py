@@ -5,7 +5,6 @@ packets a second at one of five power levels; robots drive at most 0.4 m/s (PRWA
 is the one that calibrating the example's readings log gives.
 """
 
-import asyncio
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,14 +17,11 @@ import numpy as np
 
 from fieldkit.errors import ConfigError, DataError
 from fieldkit.files import write_whole
-from fieldkit.geo import FieldFrame
-from fieldkit.recording.reader import Recording
-from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.sources import TransientSource, random_sources
 from mission.core.mission_file import Mission, read_mission
 from mission.core.template import TemplateRobot, mission_text
 from mission.shell import setups
-from mission.shell.keyboard import keyboard
+from mission.shell.flight import fly
 from mission.shell.runner import Progress, Runner
 from mission.shell.warm_up import warm_up
 
@@ -122,10 +118,10 @@ def run(
     """One whole mission; its files are in `folder` afterwards. A `page` must be of the mission `prepared`."""
     mission, sources = prepared or prepare(folder, seed)
     warm_up(mission)
-    with setups.emulated(mission, sources, seed=seed, rate=rate) as rig:
+    with setups.emulated(mission, sources, seed=seed, rate=rate) as setup:
         runner = fly(
             mission,
-            rig,
+            setup,
             folder / "mission.mcap",
             on_progress,
             truth=sources,
@@ -133,57 +129,6 @@ def run(
             page=page,
         )
     return DemoResult(mission, runner, sources, folder)
-
-
-def fly(
-    mission: Mission,
-    rig: setups.Rig,
-    recording: Path,
-    on_progress: Callable[[Progress], None] = lambda _: None,
-    *,
-    truth: tuple[TransientSource, ...] = (),
-    extra: dict[str, Any] | None = None,
-    page: "LivePage | None" = None,
-    override: str = "",
-    past: Recording | None = None,
-) -> Runner:
-    """Run a mission on a rig with a recording; the runner, ended. The recording is closed whatever happens.
-
-    With `past`, the recording of a mission that was interrupted, it goes on from there; the new recording holds all.
-    """
-    metadata: dict[str, Any] = {"mission": mission.file.name, "seed": mission.file.seed, **(extra or {})}
-    if truth:
-        metadata["truth"] = [
-            {"east_m": s.east_m, "north_m": s.north_m, "power_db": s.power_db, "rate_hz": s.rate_hz}
-            for s in truth
-        ]
-    frame = FieldFrame(mission.frame.origin_lat_deg, mission.frame.origin_lon_deg, mission.frame.origin_alt_m)
-    rotate_mb = mission.file.recording.rotate_mb
-    with RecordingWriter(
-        recording,
-        mission_toml=mission.text,
-        antenna_toml=mission.antenna_text,
-        metadata=metadata,
-        frame=frame,
-        start_ns=rig.clock.now_ns() if past is None else 0,
-        rotate_bytes=None if rotate_mb is None else round(rotate_mb * 1e6),
-    ) as recorder:
-        followers = () if page is None else (page.follower,)
-        runner = Runner(mission, rig, recorder, on_progress, followers, override)
-
-        if past is not None:
-            runner.relive(past.steps())
-
-        async def run() -> None:
-            if rig.tap is not None:
-                rig.tap.listen(lambda robot, data: recorder.raw(rig.clock.now_ns(), robot, data))
-            if page is not None:
-                page.attach(runner)
-            with keyboard(runner):
-                await runner.run()
-
-        asyncio.run(run())
-    return runner
 
 
 def compare(runner: Runner, truth: tuple[TransientSource, ...]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
 from fieldkit.channel.model import Antenna
 from fieldkit.files import write_whole
-from fieldkit.messages import Command, Event
+from fieldkit.messages import Command, Event, Tick
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.sources import TransientSource, random_sources
 from mission.core.kernel import Kernel, Outcome, state_digest
@@ -17,7 +17,7 @@ from mission.core.mission_file import Mission, read_mission
 from mission.core.template import TemplateRobot, mission_text
 from mission.lab.simulate import Truth, simulate
 from mission.safety.rules import Safety
-from mission.shell.recorder import Journal
+from mission.shell.recorder import MissionRecorder
 from mission.shell.setups import radio_of, start_places
 
 ANTENNA = Antenna(2.53, -62.0, 3.3, -70.0, -36.0)
@@ -89,7 +89,7 @@ def record_simulated(
     path = folder / "mission.mcap"
     safety = Safety(mission.safety)
     number = 0
-    journal: Journal | None = None
+    records: MissionRecorder | None = None
     with RecordingWriter(
         path,
         mission_toml=mission.text,
@@ -106,24 +106,26 @@ def record_simulated(
     ) as recorder:
 
         def note(kernel: Kernel, event: Event, outcome: Outcome) -> list[Command]:
-            nonlocal number, journal
-            journal = journal or Journal(kernel, mission.kernel.engine.grid.cell_m, recorder)
+            nonlocal number, records
+            records = records or MissionRecorder(kernel, mission.kernel.engine.grid.cell_m, recorder)
             number += 1
-            journal.event(number, event.t_ns, event)
+            records.event(number, event.t_ns, event)
             allowed = safety.observe(event)
             for command in allowed:
-                journal.command(number, event.t_ns, command, "safety")
+                records.command(number, event.t_ns, command, "safety")
             for asked, passed in zip(outcome.commands, safety.judge(outcome.commands), strict=True):
-                journal.command(number, event.t_ns, asked, "kernel")
-                journal.command(number, event.t_ns, passed, "safety")
+                records.command(number, event.t_ns, asked, "kernel")
+                records.command(number, event.t_ns, passed, "safety")
                 allowed.append(passed)
-            journal.outcome(number, event.t_ns, outcome)
+            records.outcome(number, event.t_ns, outcome)
+            if isinstance(event, Tick) and (look := records.look_if_due(event.t_ns)) is not None:
+                records.belief(number, event.t_ns, look)
             return allowed
 
         result = simulate(mission.kernel, truth, seed, on_step=note)
         end_ns = round(result.elapsed_s * 1e9)
-        assert journal is not None  # a mission has events
-        journal.end(number, end_ns)
+        assert records is not None  # a mission has events
+        records.end(number, end_ns)
         recorder.result(
             number,
             end_ns,

@@ -30,19 +30,23 @@ class LivePage:
         self._runner, self._loop = runner, asyncio.get_running_loop()
 
     def _answers(self) -> dict[str, tuple[str, str]]:
-        return {} if self._runner is None else self._runner.helm.answers
+        return {} if self._runner is None else self._runner.dispatcher.answers
 
-    def _command(self, command: dict[str, Any]) -> None:
-        """In the server's thread: over to the mission's."""
+    def _command(self, command: dict[str, Any]) -> str:
+        """In the server's thread: over to the mission's. Why it is refused, or nothing."""
         runner, loop = self._runner, self._loop
         if runner is None or loop is None or loop.is_closed():
-            return
+            return "the mission is not running"
+        robots = runner.mission.kernel.engine.robots
+        if command.get("robot") not in (None, *robots):
+            return f"there is no robot {command['robot']!r}; robots are: {', '.join(robots)}"
 
         def put() -> None:
             action = command["action"]
-            runner.put(Operator(runner.rig.clock.now_ns(), reason=f"page: {action}", **command))
+            runner.put(Operator(runner.setup.clock.now_ns(), reason=f"page: {action}", **command))
 
         loop.call_soon_threadsafe(put)
+        return ""
 
 
 @contextmanager

@@ -12,7 +12,6 @@ import hmac
 import ipaddress
 import json
 import logging
-import math
 import secrets
 import socket
 import threading
@@ -31,6 +30,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from fieldkit.errors import ConfigError
+from mission.page.commands import checked_command, message_of
 
 logger = logging.getLogger(__name__)
 
@@ -47,7 +47,6 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
-ACTIONS = ("hold", "resume", "return", "end", "release", "remove", "exclude")
 
 
 class Show(Protocol):
@@ -104,12 +103,15 @@ class Page:
     def __init__(
         self,
         show: Show,
-        on_command: Callable[[dict[str, Any]], None] | None = None,
+        on_command: Callable[[dict[str, Any]], str] | None = None,
         *,
         host: str = "127.0.0.1",
         port: int = 0,
     ) -> None:
-        """`on_command` is called in the server's thread with a checked command; None: nobody may command."""
+        """`on_command` is called in the server's thread with a checked command and says why it is refused, or nothing.
+
+        None: nobody may command.
+        """
         self.token = secrets.token_urlsafe(16)
         self._show = show
         self._on_command = on_command
@@ -208,12 +210,10 @@ class Page:
     async def _receive(self, websocket: WebSocket, mailbox: Mailbox) -> None:
         may_command = False
         while True:
-            try:
-                message = json.loads(await websocket.receive_text())
-            except ValueError:
-                continue
-            if not isinstance(message, dict):
-                continue
+            frame = await websocket.receive()
+            if frame["type"] == "websocket.disconnect":
+                return
+            message = message_of(frame.get("text") or frame.get("bytes") or b"")
             if message.get("kind") == "token":
                 may_command = self._is_token(message.get("token"))
                 said = {"kind": "rights", "may_command": may_command, "wrong_token": not may_command}
@@ -224,19 +224,26 @@ class Page:
                 self._show.asked(mailbox, message)
 
     def _is_token(self, given: object) -> bool:
-        right = isinstance(given, str) and hmac.compare_digest(given.encode(), self.token.encode())
-        return right and self._on_command is not None
+        if not isinstance(given, str) or self._on_command is None:
+            return False
+        return hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode())
 
     def _command(self, message: dict[str, Any], may_command: bool, mailbox: Mailbox) -> None:
-        answer = {"kind": "answer", "number": message.get("number"), "ok": False, "text": ""}
+        number = message.get("number")
+        answer = {
+            "kind": "answer",
+            "number": number if isinstance(number, int) else None,
+            "ok": False,
+            "text": "",
+        }
         command = checked_command(message)
         if not may_command or self._on_command is None:
             answer["text"] = "not allowed: open the address with the token that was printed at the start"
         elif isinstance(command, str):
             answer["text"] = command
         else:
-            self._on_command(command)
-            answer["ok"] = True
+            answer["text"] = self._on_command(command)
+            answer["ok"] = not answer["text"]
         mailbox.add(json.dumps(answer))
 
 
@@ -247,34 +254,6 @@ async def _send(websocket: WebSocket, mailbox: Mailbox) -> None:
     except (WebSocketDisconnect, RuntimeError, TimeoutError, OSError):
         with contextlib.suppress(Exception):
             await websocket.close(1008)
-
-
-def checked_command(message: dict[str, Any]) -> dict[str, Any] | str:
-    """A command from a browser as `Operator`'s arguments, or why it is none."""
-    action, robot, source = message.get("action"), message.get("robot"), message.get("source")
-    if action not in ACTIONS:
-        return f"there is no command {action!r}"
-    if robot is not None and not isinstance(robot, str):
-        return "robot: expected a name"
-    if action == "remove" and not isinstance(source, int):
-        return "source: expected a number"
-    area = message.get("area_m") or []
-    try:
-        corners = tuple((float(east), float(north)) for east, north in area)
-    except (TypeError, ValueError):
-        return "area_m: expected corners [east, north]"
-    if action == "exclude" and not (3 <= len(corners) <= 100 and all(map(_is_place, corners))):
-        return "area_m: expected 3 to 100 corners"
-    command: dict[str, Any] = {"action": action, "robot": robot}
-    if action == "remove":
-        command["source"] = source
-    if action == "exclude":
-        command["area_m"] = corners
-    return command
-
-
-def _is_place(corner: tuple[float, float]) -> bool:
-    return math.isfinite(corner[0]) and math.isfinite(corner[1])
 
 
 def is_known_host(header: str, served: str) -> bool:

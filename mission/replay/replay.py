@@ -18,7 +18,7 @@ from fieldkit.recording.schema import software
 from mission.core.kernel import Kernel, Outcome, state_digest
 from mission.core.mission_file import Mission, assemble, parse_mission
 from mission.safety.rules import Safety
-from mission.shell.recorder import Follower, Journal
+from mission.shell.recorder import Follower, MissionRecorder
 
 WHAT_IF = ("engine", "sources", "association", "end", "safety")
 """Tables of the mission file that a what-if may change: the field, robots and antenna file are what was there."""
@@ -103,7 +103,7 @@ def replay(
     mission = mission or recorded_mission(recording)
     kernel, safety = Kernel(mission.kernel), Safety(mission.safety)
     expected = _Expected(recording) if check else None
-    journal = Journal(kernel, mission.kernel.engine.grid.cell_m, *followers) if followers else None
+    journal = MissionRecorder(kernel, mission.kernel.engine.grid.cell_m, *followers) if followers else None
     began = wall_s()
     count, first_ns, last_ns = 0, None, 0
     for step in recording.steps():
@@ -139,7 +139,7 @@ def replay(
     )
 
 
-def _tell(journal: Journal, step: Step, outcome: Outcome, given: list[tuple[str, Command]]) -> None:
+def _tell(journal: MissionRecorder, step: Step, outcome: Outcome, given: list[tuple[str, Command]]) -> None:
     journal.event(step.inbox_number, step.log_time_ns, step.event)
     for origin, command in given:
         journal.command(

@@ -20,7 +20,7 @@ REPEAT_S = 3.0
 
 
 @dataclass
-class Homing:
+class ReturnSequence:
     """Who waits to go home, and who is on the way."""
 
     waiting: dict[str, str] = field(default_factory=dict)

@@ -40,7 +40,7 @@ from fieldkit.messages import (
     Waypoint,
 )
 from mission.safety.monitor import SafetySettings, Trouble, Watched, trouble_of, unfit
-from mission.safety.return_sequence import Homing, home_way
+from mission.safety.return_sequence import ReturnSequence, home_way
 
 __all__ = ["Safety", "SafetySettings"]
 
@@ -63,7 +63,7 @@ class Safety:
 
     settings: SafetySettings
     interventions: int = 0
-    homing: Homing = field(default_factory=Homing)
+    returning: ReturnSequence = field(default_factory=ReturnSequence)
     robots: dict[str, Watched] = field(init=False)
     """What it knows of each robot."""
     _tick_ns: int | None = None
@@ -159,14 +159,14 @@ class Safety:
         for robot in (self.robots[name] for name in names if name in self.robots):
             commands += self._order(robot, event)
         if event.action == "return":
-            commands += self.homing.step(self.robots, self.settings, event.t_ns)
+            commands += self.returning.step(self.robots, self.settings, event.t_ns)
         return commands
 
     def _order(self, robot: Watched, event: Operator) -> list[Command]:
         """One robot's part of what the operator asked for."""
         reason = event.reason or f"operator: {event.action}"
         if event.action in ("hold", "end", "release", "resume"):
-            self.homing.forget(robot.name)
+            self.returning.forget(robot.name)
         match event.action:
             case "hold" | "end":
                 robot.ordered = "hold"
@@ -175,7 +175,7 @@ class Safety:
             case "return":
                 robot.ordered = "return"
                 robot.stop()
-                self.homing.ask(robot.name, reason)
+                self.returning.ask(robot.name, reason)
                 return [Hold(event.t_ns, robot.name, f"{reason}, in sequence")]
             case "release":
                 robot.ordered = "release"
@@ -210,7 +210,7 @@ class Safety:
         commands: list[Command] = []
         for robot in self.robots.values():
             commands += self._look_at(robot, now_ns)
-        commands += self.homing.step(self.robots, self.settings, now_ns)
+        commands += self.returning.step(self.robots, self.settings, now_ns)
         for command in commands:
             self._note(command)
         return commands
@@ -239,7 +239,7 @@ class Safety:
 
     def _hold(self, robot: Watched, trouble: Trouble, now_ns: int) -> list[Command]:
         """A hold, unless it holds already or is on its way home; again until the vehicle says so."""
-        if robot.name in self.homing.under_way or not (robot.moving or not robot.holds):
+        if robot.name in self.returning.under_way or not (robot.moving or not robot.holds):
             return []
         if robot.somebody_elses:
             robot.stop()
@@ -257,9 +257,9 @@ class Safety:
         if robot.called or robot.ordered or lasted_s < after_s:
             return []
         if trouble.then == "return":
-            if robot.name in self.homing:
+            if robot.name in self.returning:
                 return []
-            self.homing.ask(robot.name, trouble.reason)
+            self.returning.ask(robot.name, trouble.reason)
             robot.ordered = "return"
             return self._call(robot, f"{trouble.reason}: it is sent home", now_ns)
         return self._call(robot, trouble.reason, now_ns)
@@ -319,14 +319,14 @@ class Safety:
 
     def _drives(self, robot: Watched) -> bool:
         """It is under way for us, to a way-point or home."""
-        return robot.moving or robot.name in self.homing.under_way
+        return robot.moving or robot.name in self.returning.under_way
 
     def _moment(self, robot: Watched) -> "_Moment | None":
         """Where it is and will be soon; None where its place is not known."""
         here, way = robot.place_m, robot.way()
         if here is None or way is None:
             return None
-        if robot.name in self.homing.under_way:
+        if robot.name in self.returning.under_way:
             way = replace(home_way(robot), speed_m_s=self.settings.max_speed_m_s)
         obeys = way.length_m and not robot.strays
         soon = replace(way, end_m=way.at(SOON_S)) if obeys else robot.drift(SOON_S)

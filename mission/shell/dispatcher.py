@@ -1,7 +1,10 @@
-"""The hands on the vehicles: carries out the newest order for each robot, and holds all of them at once.
+"""The dispatcher: the only way to a vehicle.
 
-Thin: decides nothing but that a newer order replaces an older one. A hold for everybody goes out at once, and no
-way-point passes until the event that asked for it has gone through kernel and safety.
+Each robot has one current order. A newer order replaces an older one, also one that is still being confirmed. A stop
+(`Hold`) outranks everything: it waits for nothing, it is repeated until the vehicle itself shows it, and it ends
+confirmed, replaced by an order that came after it, or named as not confirmed. There is no second way to stop.
+
+The dispatcher decides nothing else. What may be ordered is for safety to say.
 """
 
 import asyncio
@@ -9,10 +12,11 @@ import logging
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any
+from dataclasses import dataclass
+from typing import Literal
 
 from fieldkit.clock import Clock
-from fieldkit.errors import DeviceError
+from fieldkit.errors import DeviceError, VehicleRefused
 from fieldkit.messages import CallOperator, Command, EndMission, GoTo, Hold, Return
 from fieldkit.ports import VehicleLink
 
@@ -23,39 +27,65 @@ Note = Callable[[str, str], None]
 BEAT_S = 0.5
 """Twice as often as MAVLink asks for: on a link that loses a third, one a second is lost six times in a row, and a
 vehicle's failsafe has it, about every half hour; two a second, in years."""
-TAKE_OVER = "take over"
-RELEASE = "release"
+AGAIN_S = 0.2
+"""A stop that the driver has given up on is ordered again after so long."""
+STOP_PATIENCE_S = 20.0
+"""How long the end of a mission waits for vehicles to show that they hold, before they are named and it ends."""
+ACQUIRE: Literal["acquire control"] = "acquire control"
+RELEASE: Literal["release control"] = "release control"
+
+Order = Command | Literal["acquire control", "release control"]
 
 
-class Helm:
-    """The vehicles of one mission. `tasks` must run for anything to be carried out."""
+@dataclass
+class _Current:
+    """A robot's current order, and the task that carries it out."""
+
+    order: Order
+    since_s: float
+    task: "asyncio.Task[DeviceError | None]"
+
+
+class Dispatcher:
+    """The vehicles of one mission. To be used inside a running event loop; `close` ends what is under way."""
 
     def __init__(self, links: Iterable[VehicleLink], clock: Clock, note: Note) -> None:
         self._links = tuple(links)
         self.link_of = {robot: link for link in self._links for robot in link.robots}
         self._clock = clock
         self._note = note
-        self._orders: dict[str, Command | str] = {}
-        self._ready = {robot: asyncio.Event() for robot in self.link_of}
+        self._current: dict[str, _Current] = {}
         self._frozen: Counter[str] = Counter()
         self._last_beat_s = -BEAT_S
-        self._told: dict[str, str] = {}
+        self._failures: dict[str, str] = {}
         """Robot to why its last order failed: said once, not as often as it is repeated."""
+        self._no_patience = asyncio.Event()
         self.answers: dict[str, tuple[str, str]] = {}
         """Robot to its last order and how that went: "..." under way, "done", or why not."""
 
-    def tasks(self) -> list[asyncio.Task[Any]]:
-        """One for each robot; they end only by being cancelled."""
-        return [asyncio.create_task(self._obey(robot), name=f"orders {robot}") for robot in self.link_of]
+    def order(self, robot: str, order: Order) -> None:
+        """Have it carried out at once; what was ordered before is given up.
 
-    def order(self, robot: str, order: Command | str) -> None:
-        """Have it carried out; what was ordered before is forgotten."""
-        if robot not in self._ready or isinstance(order, CallOperator | EndMission):
+        A stop that repeats one still under way changes nothing. While a robot is frozen only stops pass.
+        """
+        if robot not in self.link_of or isinstance(order, CallOperator | EndMission):
             return
-        if isinstance(order, GoTo | Return) and self._frozen[robot]:
+        current = self._current.get(robot)
+        under_way = current is not None and not current.task.done()
+        if isinstance(order, Hold):
+            if current is not None and under_way and isinstance(current.order, Hold):
+                return
+        elif self._frozen[robot] and order != RELEASE:
             return
-        self._orders[robot] = order
-        self._ready[robot].set()
+        if current is not None and under_way:
+            current.task.cancel()
+        if order == RELEASE:  # at once: a newer order must not swallow it
+            self.link_of[robot].release(robot)
+            self._current.pop(robot, None)
+            self.answers[robot] = (RELEASE, "done")
+            return
+        task = asyncio.create_task(self._carry_out(robot, order), name=f"order {robot}")
+        self._current[robot] = _Current(order, self._clock.elapsed_s(), task)
 
     def freeze(self, robots: Iterable[str], t_ns: int, reason: str) -> None:
         """Hold these now; only holds pass until `thaw`."""
@@ -78,6 +108,15 @@ class Helm:
         finally:
             self.thaw(robots)
 
+    def unconfirmed(self) -> dict[str, float]:
+        """Robots that were told to stop and have not shown it, and for how many seconds."""
+        now_s = self._clock.elapsed_s()
+        return {
+            robot: now_s - current.since_s
+            for robot, current in self._current.items()
+            if isinstance(current.order, Hold) and not current.task.done()
+        }
+
     def beat(self) -> None:
         """Our heartbeat, where it is due. Called from the steering loop alone, so that it stops with it."""
         now_s = self._clock.elapsed_s()
@@ -86,24 +125,58 @@ class Helm:
             for link in self._links:
                 link.beat()
 
-    async def take_over(self, robots: Iterable[str] | None = None) -> None:
-        """Make vehicles ours and have them armed; None: all of them. Raises what one that refuses raises."""
+    async def acquire(self, robots: Iterable[str] | None = None) -> None:
+        """Make vehicles ours and have them armed; None: all of them. Raises what one that refuses raises.
+
+        One that is told to stop meanwhile is not acquired, which is no error: the stop came later.
+        """
         names = list(self.link_of if robots is None else robots)
-        await asyncio.gather(*(self.link_of[name].take_over(name) for name in names))
+        for name in names:
+            self.order(name, ACQUIRE)
+        tasks = [self._current[name].task for name in names if name in self._current]
+        if tasks:
+            await asyncio.wait(tasks)
+        for task in tasks:
+            if not task.cancelled() and (error := task.result()) is not None:
+                raise error
 
-    async def hold_all(self, reason: str) -> None:
-        """Tell every vehicle to hold, all at once; those that do not answer are named."""
+    async def stop(self, robots: Iterable[str], t_ns: int, reason: str) -> list[str]:
+        """Tell these to hold, all at once, and wait until they show it; those that do not are named, and returned.
 
-        async def hold(robot: str, link: VehicleLink) -> None:
-            try:
-                await link.hold(robot)
-            except DeviceError as error:
-                logger.error("%s did not confirm that it holds: %s", robot, error)
-                self._note("error", f"{robot} did not confirm that it holds: {error}")
-
+        Waits for `STOP_PATIENCE_S` at the most, or until `lose_patience`.
+        """
+        names = [robot for robot in robots if robot in self.link_of]
+        for name in names:
+            self._frozen[name] += 1
+            self.order(name, Hold(t_ns, name, reason))
+        waiting = {self._current[name].task for name in names}
+        given_up = asyncio.create_task(self._no_patience.wait())
+        late = asyncio.create_task(self._clock.sleep(STOP_PATIENCE_S))
         async with self.beating():
-            await asyncio.gather(*(hold(robot, link) for robot, link in self.link_of.items()))
-        self._note("info", f"all vehicles were told to hold: {reason}")
+            while waiting and not (given_up.done() or late.done()):
+                await asyncio.wait({*waiting, given_up, late}, return_when=asyncio.FIRST_COMPLETED)
+                waiting = {task for task in waiting if not task.done()}
+        for task in (given_up, late):
+            task.cancel()
+        self._note("info", f"told to hold: {', '.join(names) or 'nobody'}: {reason}")
+        silent = sorted(set(names) & self.unconfirmed().keys())
+        if silent:
+            text = f"NOT CONFIRMED to hold: {', '.join(silent)}: stop by hand, by remote control or switch"
+            logger.error(text)
+            self._note("error", text)
+        return silent
+
+    def lose_patience(self) -> None:
+        """Whoever waits in `stop` waits no longer."""
+        self._no_patience.set()
+
+    async def close(self) -> None:
+        """Give up what is still under way."""
+        tasks = [current.task for current in self._current.values() if not current.task.done()]
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            await asyncio.wait(tasks)
 
     @asynccontextmanager
     async def beating(self) -> AsyncIterator[None]:
@@ -120,37 +193,40 @@ class Helm:
             self.beat()
             await self._clock.sleep(BEAT_S)
 
-    async def _obey(self, robot: str) -> None:
-        link, ready = self.link_of[robot], self._ready[robot]
+    async def _carry_out(self, robot: str, order: Order) -> DeviceError | None:
+        """One order to its end; why it failed. A stop does not fail: it is ordered until the vehicle shows it."""
+        name = order if isinstance(order, str) else type(order).__name__
+        self.answers[robot] = (name, "...")
         while True:
-            await ready.wait()
-            ready.clear()
-            order = self._orders[robot]
-            name = order if isinstance(order, str) else type(order).__name__
-            self.answers[robot] = (name, "...")
             try:
-                await _carry_out(link, robot, order)
-                self.answers[robot] = (name, "done")
-                self._told.pop(robot, None)
+                await self._ask(robot, order)
             except DeviceError as error:
-                self.answers[robot] = (name, str(error))
-                if self._told.get(robot) != str(error):
-                    self._told[robot] = str(error)
-                    logger.warning("%s: %s", robot, error)
-                    self._note("warning", f"{robot}: {name}: {error}")
+                self._failed(robot, name, error)
+                if not isinstance(order, Hold):
+                    return error
+                await self._clock.sleep(AGAIN_S)
+            else:
+                self.answers[robot] = (name, "done")
+                self._failures.pop(robot, None)
+                return None
 
+    def _failed(self, robot: str, name: str, error: DeviceError) -> None:
+        self.answers[robot] = (name, str(error))
+        if self._failures.get(robot) != str(error):
+            self._failures[robot] = str(error)
+            logger.warning("%s: %s", robot, error)
+            self._note("warning", f"{robot}: {name}: {error}")
 
-async def _carry_out(link: VehicleLink, robot: str, order: Command | str) -> None:
-    match order:
-        case GoTo(_, _, waypoint):
-            await link.goto(robot, waypoint)
-        case Hold():
-            await link.hold(robot)
-        case Return():
-            await link.return_home(robot)
-        case "take over":
-            await link.take_over(robot)
-        case "release":
-            link.release(robot)
-        case _:
-            pass
+    async def _ask(self, robot: str, order: Order) -> None:
+        link = self.link_of[robot]
+        match order:
+            case GoTo(_, _, waypoint):
+                await link.goto(robot, waypoint)
+            case Hold():
+                await link.hold(robot)
+            case Return():
+                await link.return_home(robot)
+            case "acquire control":
+                await link.take_over(robot)
+            case _:
+                raise VehicleRefused(f"{robot}: {order} is no order for a vehicle")

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from fieldkit.messages import Operator
@@ -21,18 +21,33 @@ WORDS: dict[str, Action] = {
     "end": "end",
 }
 HELP = "Enter: HOLD ALL   r: resume   home: all return, in sequence   end: end the mission   Ctrl-C: end"
+EVERYBODY = ("all", "everybody", "*")
 
 
-def meaning(line: str) -> tuple[Action, str | None] | None:
-    """What a line asks for, and of which robot (None: all); None where it asks for nothing known.
+class NotUnderstood(ValueError):
+    """What was typed asks for nothing; the text says why, and what the words are."""
+
+
+def meaning(line: str, robots: Sequence[str]) -> tuple[Action, str | None]:
+    """What a line asks for, and of which robot (None: all). Raises `NotUnderstood`.
 
     What is not understood must not do anything, but an empty line, the quickest there is, stops everybody.
     """
-    words = line.strip().lower().split()
-    action = WORDS.get(words[0] if words else "")
-    if action is None or len(words) > 2:
-        return None
-    return action, line.strip().split()[1] if len(words) == 2 else None
+    words = line.split()
+    said = words[0].lower() if words else ""
+    action = WORDS.get(said)
+    if action is None:
+        raise NotUnderstood(f"there is no command {said!r}. {HELP}")
+    who = " ".join(words[1:])
+    if not who or who.lower() in EVERYBODY:
+        return action, None
+    if action == "end":
+        raise NotUnderstood(f"'end' ends the whole mission and takes no robot, got {who!r}. Nothing was done")
+    if who not in robots:
+        raise NotUnderstood(
+            f"there is no robot {who!r}; robots are: {', '.join(robots)}, or all. Nothing was done"
+        )
+    return action, who
 
 
 @contextlib.contextmanager
@@ -48,12 +63,12 @@ def keyboard(runner: Runner) -> Iterator[None]:
         if not line:  # the terminal has gone
             loop.remove_reader(sys.stdin.fileno())
             return
-        asked = meaning(line)
-        if asked is None:
-            print(HELP, file=sys.stderr)
+        try:
+            action, robot = meaning(line, runner.mission.kernel.engine.robots)
+        except NotUnderstood as refusal:
+            print(refusal, file=sys.stderr)
             return
-        action, robot = asked
-        runner.put(Operator(runner.rig.clock.now_ns(), action, robot, f"terminal: {action}"))
+        runner.put(Operator(runner.setup.clock.now_ns(), action, robot, f"terminal: {action}"))
 
     try:
         loop.add_reader(sys.stdin.fileno(), typed)

@@ -1,6 +1,6 @@
 """Before the start: a table robot by check, each red, amber or green with what to do. Nothing is armed or moved.
 
-`judge_*` are pure; `preflight` opens the rig's devices one by one, listens for a while, and asks the vehicles. Where
+`judge_*` are pure; `preflight` opens the setup's devices one by one, listens for a while, and asks the vehicles. Where
 the mission file asks for a fence in the vehicles they get it first, for it may be what arming waits for; they get
 their own back at the end.
 """
@@ -21,7 +21,7 @@ from fieldkit.geometry.segments import margin_m
 from fieldkit.messages import Pose, ReceiverState, RssReading
 from fieldkit.ports import PositionSource, Receiver, VehicleLink
 from mission.core.mission_file import Mission
-from mission.shell.setups import Rig
+from mission.shell.setups import Setup
 from mission.shell.vehicle_fences import VehicleFences, demands_of
 
 logger = logging.getLogger(__name__)
@@ -47,16 +47,16 @@ class Heard:
     """Robot to why its radio is down."""
 
 
-async def preflight(mission: Mission, rig: Rig, folder: Path, listen_s: float) -> list[Check]:
+async def preflight(mission: Mission, setup: Setup, folder: Path, listen_s: float) -> list[Check]:
     """Everything that can be checked with the devices on, robots standing. `folder` gets the recordings."""
     heard = Heard()
-    checks = [*judge_calibration(mission, rig.clock.now_ns()), judge_disk(folder), judge_cpu()]
+    checks = [*judge_calibration(mission, setup.clock.now_ns()), judge_disk(folder), judge_cpu()]
     async with contextlib.AsyncExitStack() as stack:
         opened: list[VehicleLink] = []
         devices: list[Receiver | VehicleLink | PositionSource] = [
-            *rig.receivers,
-            *rig.links,
-            *rig.positions,
+            *setup.receivers,
+            *setup.links,
+            *setup.positions,
         ]
         for device in devices:
             try:
@@ -69,25 +69,25 @@ async def preflight(mission: Mission, rig: Rig, folder: Path, listen_s: float) -
             if isinstance(device, VehicleLink):
                 opened.append(device)
         fences = VehicleFences(mission, {name: link for link in opened for name in link.robots}, _say)
-        checks += await _ask_all(fences, mission, rig, listen_s)
+        checks += await _ask_all(fences, mission, setup, listen_s)
     silent = {check.robot for check in checks if check.name == "radio"}
-    for receiver in rig.receivers:
+    for receiver in setup.receivers:
         if receiver.robot not in silent:
             checks.append(judge_hearing(receiver.robot, heard, listen_s))
     checks += judge_places(mission, heard.poses)
     return checks
 
 
-async def _ask_all(fences: VehicleFences, mission: Mission, rig: Rig, listen_s: float) -> list[Check]:
+async def _ask_all(fences: VehicleFences, mission: Mission, setup: Setup, listen_s: float) -> list[Check]:
     """What the vehicles say, once they have the fence that the mission gives them.
 
     They hear our heartbeat meanwhile: ArduCopter does not arm while its ground station is silent.
     """
-    beating = asyncio.create_task(_beat(set(fences.link_of.values()), rig))
+    beating = asyncio.create_task(_beat(set(fences.link_of.values()), setup))
     try:
         checks = await fences.put(list(fences.link_of))
         asked = [_ask(link, robot, mission) for robot, link in fences.link_of.items()]
-        inspected, _ = await asyncio.gather(asyncio.gather(*asked), rig.clock.sleep(listen_s))
+        inspected, _ = await asyncio.gather(asyncio.gather(*asked), setup.clock.sleep(listen_s))
     finally:
         await fences.restore()
         await _end(beating)
@@ -96,11 +96,11 @@ async def _ask_all(fences: VehicleFences, mission: Mission, rig: Rig, listen_s: 
     return checks
 
 
-async def _beat(links: Iterable[VehicleLink], rig: Rig) -> None:
+async def _beat(links: Iterable[VehicleLink], setup: Setup) -> None:
     while True:
         for link in links:
             link.beat()
-        await rig.clock.sleep(BEAT_S)
+        await setup.clock.sleep(BEAT_S)
 
 
 def _say(level: str, text: str) -> None:

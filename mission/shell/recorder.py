@@ -1,12 +1,28 @@
 """What a mission writes down as it goes: the recording, and whoever else follows along. Acts, decides nothing."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
+from fieldkit.clock import wall_s
 from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate
 from mission.core.kernel import Kernel, Outcome
 
 BELIEF_EVERY_S = 10.0
+"""Mission time between looks at the whole belief."""
+LOOK_SHARE = 0.05
+"""A look may take no more than this share of the time between two: on a large field it comes more rarely."""
+LONGEST_LOOK_S = 1.0
+"""A look that took longer is not taken again before the end: steering waits while it lasts."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """The belief over the whole field, as taken at one moment."""
+
+    presence: FloatArray
+    probability_left: float
+    digest: str
 
 
 class Follower(Protocol):
@@ -40,14 +56,15 @@ class Follower(Protocol):
     def flush(self) -> None: ...
 
 
-class Journal:
+class MissionRecorder:
     """Writes what happens to all followers."""
 
     def __init__(self, kernel: Kernel, cell_m: float, *followers: Follower) -> None:
         self._kernel = kernel
         self._cell_m = cell_m
         self._followers = followers
-        self._last_belief_s = -BELIEF_EVERY_S
+        self._last_look_s = -BELIEF_EVERY_S
+        self._look_took_s = 0.0
         self.left = 1.0
         """Probability that a source of the reference rate is still not found, as last looked at."""
 
@@ -80,30 +97,41 @@ class Journal:
             digest = self._kernel.digest()
             for follower in self._followers:
                 follower.belief(number, t_ns, digest=digest)
-        if self._kernel.elapsed_s(t_ns) - self._last_belief_s >= BELIEF_EVERY_S:
-            self.belief(number, t_ns)
         if outcome.notes:
             for follower in self._followers:
                 follower.flush()
 
-    def belief(self, number: int, t_ns: int) -> None:
-        """The belief over the whole field."""
-        self._last_belief_s = self._kernel.elapsed_s(t_ns)
-        self.left = self._kernel.belief.probability_left()
-        presence, digest = self._kernel.belief.presence(), self._kernel.digest()
+    def look_if_due(self, t_ns: int) -> Look | None:
+        """The whole belief, if it is time to look. Takes as long as the field is large: not for the event loop."""
+        if self._look_took_s > LONGEST_LOOK_S:
+            return None
+        every_s = max(BELIEF_EVERY_S, self._look_took_s / LOOK_SHARE)
+        return self.look(t_ns) if self._kernel.elapsed_s(t_ns) - self._last_look_s >= every_s else None
+
+    def look(self, t_ns: int) -> Look:
+        """The whole belief now."""
+        self._last_look_s, began_s = self._kernel.elapsed_s(t_ns), wall_s()
+        belief = self._kernel.belief
+        look = Look(belief.presence(), belief.probability_left(), self._kernel.digest())
+        self._look_took_s = wall_s() - began_s
+        return look
+
+    def belief(self, number: int, t_ns: int, look: Look) -> None:
+        """A look at the belief over the whole field."""
+        self.left = look.probability_left
         for follower in self._followers:
             follower.belief(
                 number,
                 t_ns,
-                presence,
+                look.presence,
                 cell_m=self._cell_m,
-                digest=digest,
+                digest=look.digest,
                 numbers={"probability_left": self.left},
             )
 
     def end(self, number: int, t_ns: int) -> None:
         """The last look at everything."""
-        self.belief(number, t_ns)
+        self.belief(number, t_ns, self.look(t_ns))
         self._sources(number, t_ns)
 
     def _sources(self, number: int, t_ns: int) -> None:

@@ -1,6 +1,6 @@
 """What a mission runs on: which clock, which radios, which vehicles. Live and emulated differ in nothing else.
 
-The emulated rig starts a field of devices on this machine (`fieldkit.emulators`), and then opens them with the
+The emulated setup starts a field of devices on this machine (`fieldkit.emulators`), and then opens them with the
 same drivers, through the same wires, as the live one.
 """
 
@@ -40,7 +40,7 @@ class RawTap:
 
 
 @dataclass(frozen=True, slots=True)
-class Rig:
+class Setup:
     """Devices that have been made, not opened."""
 
     clock: Clock
@@ -49,17 +49,17 @@ class Rig:
     positions: tuple[PositionSource, ...] = ()
     """Other sources of positions; the robots they know are not taken from telemetry."""
     emulator: Any = None
-    """The emulated field, for injecting faults; None on a live rig."""
+    """The emulated field, for injecting faults; None on a live setup."""
     tap: RawTap | None = None
     """Where the radios' raw bytes come out, if the mission file wants them recorded."""
 
 
-def live(mission: Mission, clock: Clock | None = None) -> Rig:
+def live(mission: Mission, clock: Clock | None = None) -> Setup:
     """The radios and vehicles the mission file names. Raises `ConfigError` for options a driver does not know."""
     return _build(mission, mission.file.robot, clock or RealClock())
 
 
-def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emulator: Any = None) -> Rig:
+def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emulator: Any = None) -> Setup:
     tap = RawTap() if mission.file.recording.raw else None
     around = Surroundings(clock, mission.frame, tap)
     receivers = []
@@ -72,7 +72,7 @@ def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emula
         positions.append(
             plugins.load("fieldkit.positions", table.driver)(dict(table.model_extra or {}), around)
         )
-    return Rig(clock, tuple(receivers), links, tuple(positions), emulator, tap)
+    return Setup(clock, tuple(receivers), links, tuple(positions), emulator, tap)
 
 
 def with_vehicles(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock) -> tuple[VehicleLink, ...]:
@@ -101,7 +101,7 @@ def emulated(
     seed: int,
     rate: float,
     pose_noise_m: float = 0.02,
-) -> Iterator[Rig]:
+) -> Iterator[Setup]:
     """An emulated field for the mission's robots, on a clock `rate` times as fast as the wall's.
 
     Robots start in pairs along the south border. The mission file's ports and addresses are replaced by the

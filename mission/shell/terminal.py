@@ -41,15 +41,15 @@ class Watch:
         for note in progress.notes:
             line = f"{progress.elapsed_s:6.0f} s  {note}"
             if self._live.is_started:
-                self._live.console.print(line, highlight=False)
+                self._live.console.print(line, highlight=False, markup=False)
             else:
-                self._console.print(line, highlight=False)
+                self._console.print(line, highlight=False, markup=False)
         now_s = wall_s()
         if self._live.is_started:
             self._live.update(_panel(progress))
         elif now_s - self._last_s >= PLAIN_EVERY_S:
             self._last_s = now_s
-            self._console.print(_line(progress), highlight=False)
+            self._console.print(_line(progress), highlight=False, markup=False)
 
 
 def _found(progress: Progress) -> tuple[int, int]:

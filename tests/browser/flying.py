@@ -21,7 +21,7 @@ from mission.lab.synthetic import small_mission
 from mission.page import serve
 from mission.page.server import Page
 from mission.shell.runner import Runner
-from mission.shell.setups import Rig, start_places
+from mission.shell.setups import Setup, start_places
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
@@ -71,7 +71,7 @@ def flying(folder: Path) -> Iterator[Flown]:
     clock = ScaledClock(5.0)
     fleet = FakeFleet({name: Rover(*place) for name, place in start_places(mission).items()}, clock)
     receivers = {name: FakeReceiver(name, clock) for name in mission.kernel.engine.robots}
-    rig = Rig(clock, tuple(receivers.values()), (fleet,))
+    setup = Setup(clock, tuple(receivers.values()), (fleet,))
     operated: list[Operator] = []
     made: list[Any] = []
 
@@ -83,7 +83,7 @@ def flying(folder: Path) -> Iterator[Flown]:
 
     def fly(shown: serve.LivePage) -> None:
         async def run() -> None:
-            runner = Runner(mission, rig, recorder, followers=(shown.follower,))
+            runner = Runner(mission, setup, recorder, followers=(shown.follower,))
             shown.attach(runner)
             made.append((runner, asyncio.get_running_loop()))
             await runner.run()

@@ -39,7 +39,7 @@ def show_sources(flown: Flown) -> None:
     flown.runner.kernel.belief.sources = lambda: [found, candidate]  # type: ignore[method-assign]
     flown.runner.kernel._sources = None
     for follower in flown.runner.followers:
-        follower.sources(0, flown.runner.rig.clock.now_ns(), [found, candidate])
+        follower.sources(0, flown.runner.setup.clock.now_ns(), [found, candidate])
 
 
 def test_hold_all_by_button_holds_every_robot_without_asking(tab: Any, flown: Flown) -> None:

@@ -16,11 +16,11 @@ from fieldkit.messages import (
     VehicleState,
 )
 from mission.lab.synthetic import small_mission
+from mission.page.commands import checked_command
 from mission.page.exposure import Exposure
 from mission.page.live import LiveShow
-from mission.page.server import NEWS_WAITING, Mailbox, checked_command, is_known_host, is_own_origin
+from mission.page.server import NEWS_WAITING, Mailbox, is_known_host, is_own_origin
 from mission.page.view import View, grid, thin
-from mission.shell.keyboard import meaning
 
 S = 1_000_000_000
 
@@ -148,20 +148,3 @@ def test_only_names_of_this_machine_and_addresses_are_known_hosts() -> None:
         assert not is_known_host(host, "127.0.0.1")
     assert is_own_origin(None, "a:1") and is_own_origin("http://a:1", "a:1")
     assert not is_own_origin("http://b:1", "a:1") and not is_own_origin("null", "a:1")
-
-
-@pytest.mark.parametrize(
-    ("line", "asked"),
-    [
-        ("\n", ("hold", None)),
-        ("h\n", ("hold", None)),
-        ("hold r2\n", ("hold", "r2")),
-        ("R\n", ("resume", None)),
-        ("home\n", ("return", None)),
-        ("end\n", ("end", None)),
-        ("dance\n", None),
-        ("hold r1 r2\n", None),
-    ],
-)
-def test_the_terminal_understands_few_words_and_enter_holds(line: str, asked: object) -> None:
-    assert meaning(line) == asked

@@ -19,7 +19,7 @@ from mission.lab.synthetic import small_mission
 from mission.shell import setups
 from mission.shell.preflight import judge_calibration, judge_places, preflight
 from mission.shell.runner import Runner
-from mission.shell.setups import Rig, start_places
+from mission.shell.setups import Setup, start_places
 
 
 class Careless(FakeFleet):
@@ -29,18 +29,18 @@ class Careless(FakeFleet):
         return [Check(robot, "failsafe", "red", "FS_GCS_ENABLE is 0: drives on", "set FS_GCS_ENABLE 1")]
 
 
-def rig_of(mission, fleet=FakeFleet) -> Rig:  # type: ignore[no-untyped-def]
+def setup_of(mission, fleet=FakeFleet) -> Setup:  # type: ignore[no-untyped-def]
     clock = ScaledClock(20.0)
     rovers = {name: Rover(*place) for name, place in start_places(mission).items()}
-    return Rig(clock, (), (fleet(rovers, clock),))
+    return Setup(clock, (), (fleet(rovers, clock),))
 
 
 def run(folder: Path, fleet, override: str = "") -> FakeFleet:  # type: ignore[no-untyped-def]
     mission = small_mission(folder, duration_s=5.0)
-    rig = rig_of(mission, fleet)
+    setup = setup_of(mission, fleet)
     with RecordingWriter(folder / "mission.mcap", mission_toml=mission.text) as recorder:
-        asyncio.run(Runner(mission, rig, recorder, override=override).run())
-    return rig.links[0]  # type: ignore[return-value]
+        asyncio.run(Runner(mission, setup, recorder, override=override).run())
+    return setup.links[0]  # type: ignore[return-value]
 
 
 def test_vehicles_without_failsafes_do_not_start(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -110,9 +110,9 @@ def test_a_missing_radio_is_red_and_the_rest_is_checked_all_the_same(tmp_path: P
             raise DeviceError("XBee of r1: /dev/ttyUSB0: no such port")
 
     mission = small_mission(tmp_path)
-    rig = rig_of(mission)
-    rig = replace(rig, receivers=(Missing("r1", rig.clock), FakeReceiver("r2", rig.clock)))
-    checks = asyncio.run(preflight(mission, rig, tmp_path, 5.0))
+    setup = setup_of(mission)
+    setup = replace(setup, receivers=(Missing("r1", setup.clock), FakeReceiver("r2", setup.clock)))
+    checks = asyncio.run(preflight(mission, setup, tmp_path, 5.0))
     found = {(check.robot, check.name): check for check in checks}
     assert found["r1", "radio"].level == "red" and "ttyUSB0" in found["r1", "radio"].found
     assert found["r2", "radio"].level == "amber" and "transmitter" in found["r2", "radio"].remedy
@@ -124,8 +124,8 @@ def test_a_missing_radio_is_red_and_the_rest_is_checked_all_the_same(tmp_path: P
 def test_an_emulated_field_passes_on_its_wires(tmp_path: Path) -> None:
     mission = small_mission(tmp_path)
     sources = (TransientSource(3.0, 2.0, 0.0, 1.0), TransientSource(7.0, 2.0, 0.0, 1.0))
-    with setups.emulated(mission, sources, seed=1, rate=5.0) as rig:
-        checks = asyncio.run(preflight(mission, rig, tmp_path, 15.0))
+    with setups.emulated(mission, sources, seed=1, rate=5.0) as setup:
+        checks = asyncio.run(preflight(mission, setup, tmp_path, 15.0))
     red = [check for check in checks if check.level == "red" and check.name != "disk"]
     assert not red
     names = {check.name for check in checks}

@@ -6,10 +6,10 @@ from fieldkit.messages import RssReading
 from fieldkit.recording import open_recording
 from fieldkit.recording.records import Contents, walk
 from mission.core.mission_file import read_mission
-from mission.lab.demo import fly
 from mission.lab.synthetic import hidden_sources, small_mission
 from mission.replay.replay import replay
 from mission.shell import setups
+from mission.shell.flight import fly
 
 
 def recorded(folder: Path, more: str) -> Path:
@@ -17,8 +17,8 @@ def recorded(folder: Path, more: str) -> Path:
     file = folder / "mission.toml"
     file.write_text(file.read_text() + more)
     mission = read_mission(file)
-    with setups.emulated(mission, hidden_sources(1), seed=1, rate=8.0) as rig:
-        fly(mission, rig, folder / "mission.mcap")
+    with setups.emulated(mission, hidden_sources(1), seed=1, rate=8.0) as setup:
+        fly(mission, setup, folder / "mission.mcap")
     return folder / "mission.mcap"
 
 

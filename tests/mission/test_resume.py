@@ -18,7 +18,7 @@ from mission.core.mission_file import Mission
 from mission.lab.synthetic import small_mission
 from mission.replay.replay import replay, resumable
 from mission.shell.runner import Runner
-from mission.shell.setups import Rig, start_places
+from mission.shell.setups import Setup, start_places
 
 
 class Scene:
@@ -36,8 +36,8 @@ class Scene:
         """The time at which somebody starts the mission again: a new loop counts from 0."""
         self.clock.start_ns += 100 * 10**9
 
-    def rig(self) -> Rig:
-        return Rig(self.clock, tuple(self.radios), (self.fleet,))
+    def setup(self) -> Setup:
+        return Setup(self.clock, tuple(self.radios), (self.fleet,))
 
     async def noise(self) -> None:
         for k in range(100):
@@ -61,7 +61,7 @@ class Scene:
             await asyncio.wait({running, noise})
 
         with self.recorder("first.mcap") as recorder:
-            jumploop.run(go(Runner(self.mission, self.rig(), recorder)))
+            jumploop.run(go(Runner(self.mission, self.setup(), recorder)))
         self.later()
         return left
 
@@ -75,8 +75,8 @@ class Scene:
         past = open_recording(left)
         assert not past.complete
         with self.recorder("second.mcap") as recorder:
-            runner = Runner(resumable(past), self.rig(), recorder)
-            runner.relive(past.steps())
+            runner = Runner(resumable(past), self.setup(), recorder)
+            runner.rebuild(past.steps())
             begun = runner.kernel.digest()
             jumploop.run(runner.run())
         return runner, begun
@@ -109,7 +109,7 @@ def test_robots_go_on_after_being_adopted(tmp_path: Path) -> None:
 def test_what_is_disarmed_or_held_stays_so_until_the_operator_says_otherwise(tmp_path: Path) -> None:
     scene = Scene(tmp_path)
     left = scene.killed(
-        before_kill=lambda runner: runner.put(Operator(runner.rig.clock.now_ns(), "hold", "r2"))
+        before_kill=lambda runner: runner.put(Operator(runner.setup.clock.now_ns(), "hold", "r2"))
     )
     count = len(list(open_recording(left).commands()))
     scene.fleet._armed["r1"] = False
@@ -136,7 +136,7 @@ def test_a_robot_that_is_silent_at_the_resume_keeps_none_of_the_others_from_goin
 def test_a_mission_that_is_over_is_not_resumed(tmp_path: Path) -> None:
     scene = Scene(tmp_path)
     with scene.recorder("first.mcap") as recorder:
-        runner = Runner(scene.mission, scene.rig(), recorder)
+        runner = Runner(scene.mission, scene.setup(), recorder)
 
         async def go() -> None:
             runner.put(Operator(scene.clock.now_ns(), "end"))
@@ -152,4 +152,4 @@ def test_a_recording_with_a_hole_is_refused(tmp_path: Path) -> None:
     left = scene.killed(after_s=10.0)
     steps = list(open_recording(left).steps())
     with scene.recorder("second.mcap") as recorder, pytest.raises(RecordingError, match="event 6 is missing"):
-        Runner(scene.mission, scene.rig(), recorder).relive(steps[:5] + steps[6:])
+        Runner(scene.mission, scene.setup(), recorder).rebuild(steps[:5] + steps[6:])

@@ -17,9 +17,8 @@ from fieldkit.world.fakes import FakeFleet, FakeReceiver
 from fieldkit.world.rover import Rover
 from mission.lab.synthetic import small_mission
 from mission.replay.replay import replay
-from mission.shell.dispatcher import Helm
 from mission.shell.runner import Progress, Runner
-from mission.shell.setups import Rig, start_places
+from mission.shell.setups import Setup, start_places
 
 
 class Deaf(FakeReceiver):
@@ -30,37 +29,37 @@ class Deaf(FakeReceiver):
         yield
 
 
-def rig_for(mission, receivers=FakeReceiver) -> Rig:  # type: ignore[no-untyped-def]
+def setup_for(mission, receivers=FakeReceiver) -> Setup:  # type: ignore[no-untyped-def]
     """On a loop whose time jumps: a busy machine must not look like a late mission."""
     clock = LoopClock(1_000 * 10**9)
     fleet = FakeFleet({name: Rover(*place) for name, place in start_places(mission).items()}, clock)
-    return Rig(clock, tuple(receivers(name, clock) for name in mission.kernel.engine.robots), (fleet,))
+    return Setup(clock, tuple(receivers(name, clock) for name in mission.kernel.engine.robots), (fleet,))
 
 
-def fly(folder: Path, rig_of=rig_for, duration_s: float = 40.0, act=None) -> tuple[Runner, Rig]:  # type: ignore[no-untyped-def]
+def fly(folder: Path, setup_of=setup_for, duration_s: float = 40.0, act=None) -> tuple[Runner, Setup]:  # type: ignore[no-untyped-def]
     mission = small_mission(folder, duration_s=duration_s)
-    rig = rig_of(mission)
+    setup = setup_of(mission)
 
     async def go(runner: Runner) -> None:
         if act is None:
             await runner.run()
             return
         async with asyncio.TaskGroup() as group:
-            group.create_task(act(runner, rig))
+            group.create_task(act(runner, setup))
             group.create_task(runner.run())
 
     with RecordingWriter(
         folder / "mission.mcap", mission_toml=mission.text, antenna_toml=mission.antenna_text
     ) as recorder:
-        runner = Runner(mission, rig, recorder)
+        runner = Runner(mission, setup, recorder)
         jumploop.run(go(runner))
-    return runner, rig
+    return runner, setup
 
 
 def test_a_mission_takes_over_steers_and_ends_with_all_holding(tmp_path: Path) -> None:
-    runner, rig = fly(tmp_path)
+    runner, setup = fly(tmp_path)
     assert "time is up" in runner.end_reason
-    fleet = rig.links[0]
+    fleet = setup.links[0]
     assert isinstance(fleet, FakeFleet)
     assert set(fleet._mode.values()) == {"hold"}
     assert 2 * 40 <= fleet.beats <= 2 * 40 + 12, "two a second, and some while it is taken over and let go"
@@ -71,10 +70,10 @@ def test_a_mission_takes_over_steers_and_ends_with_all_holding(tmp_path: Path) -
 
 
 def test_its_recording_is_whole_and_replays(tmp_path: Path) -> None:
-    async def noise(runner: Runner, rig: Rig) -> None:
+    async def noise(runner: Runner, setup: Setup) -> None:
         for k in range(6):
-            await rig.clock.sleep(4.0)
-            for receiver in rig.receivers[: 1 + k % 3]:
+            await setup.clock.sleep(4.0)
+            for receiver in setup.receivers[: 1 + k % 3]:
                 receiver.hear(-64.0 - k)  # type: ignore[attr-defined]
 
     runner, _ = fly(tmp_path, act=noise)
@@ -85,14 +84,14 @@ def test_its_recording_is_whole_and_replays(tmp_path: Path) -> None:
 
 
 def test_a_receiver_that_breaks_does_not_end_the_mission(tmp_path: Path) -> None:
-    runner, _ = fly(tmp_path, rig_of=lambda mission: rig_for(mission, Deaf), duration_s=15.0)
+    runner, _ = fly(tmp_path, setup_of=lambda mission: setup_for(mission, Deaf), duration_s=15.0)
     assert "time is up" in runner.end_reason
 
 
 def test_the_operators_hold_reaches_every_vehicle(tmp_path: Path) -> None:
-    async def press(runner: Runner, rig: Rig) -> None:
-        await rig.clock.sleep(10.0)
-        runner.put(Operator(rig.clock.now_ns(), "hold"))
+    async def press(runner: Runner, setup: Setup) -> None:
+        await setup.clock.sleep(10.0)
+        runner.put(Operator(setup.clock.now_ns(), "hold"))
 
     fly(tmp_path, act=press)
     recording = open_recording(tmp_path / "mission.mcap")
@@ -124,11 +123,11 @@ def test_a_position_source_takes_the_place_of_telemetry(tmp_path: Path) -> None:
                 yield Pose(self.clock.now_ns(), "r1", 7.7, 7.7, origin="camera")
                 await self.clock.sleep(0.25)
 
-    def with_camera(mission) -> Rig:  # type: ignore[no-untyped-def]
-        rig = rig_for(mission)
-        return replace(rig, positions=(Overhead(rig.clock),))  # type: ignore[arg-type]
+    def with_camera(mission) -> Setup:  # type: ignore[no-untyped-def]
+        setup = setup_for(mission)
+        return replace(setup, positions=(Overhead(setup.clock),))  # type: ignore[arg-type]
 
-    fly(tmp_path, rig_of=with_camera, duration_s=10.0)
+    fly(tmp_path, setup_of=with_camera, duration_s=10.0)
     poses = [e for _, _, e in open_recording(tmp_path / "mission.mcap").events() if isinstance(e, Pose)]
     assert {p.origin for p in poses if p.robot == "r1"} == {"camera"}
     assert {p.origin for p in poses if p.robot == "r2"} == {"sim"}
@@ -138,11 +137,11 @@ def test_every_reception_is_looked_at_as_soon_as_it_can_be(tmp_path: Path) -> No
     mission = small_mission(tmp_path, duration_s=40.0)
     quick = replace(mission.kernel, association_window_s=0.01, association_lateness_s=0.01)
     mission = replace(mission, kernel=quick)
-    rig = rig_for(mission)
+    setup = setup_for(mission)
 
     async def hear(after_s: float) -> None:
-        await rig.clock.sleep(after_s)
-        rig.receivers[0].hear(-64.0)  # type: ignore[attr-defined]
+        await setup.clock.sleep(after_s)
+        setup.receivers[0].hear(-64.0)  # type: ignore[attr-defined]
 
     async def go() -> None:
         async with asyncio.TaskGroup() as group:
@@ -150,7 +149,7 @@ def test_every_reception_is_looked_at_as_soon_as_it_can_be(tmp_path: Path) -> No
             for k in range(20):
                 for apart_s in (0.0, 0.015, 0.04):
                     group.create_task(hear(5.037 + 1.571 * k + apart_s))
-            group.create_task(Runner(mission, rig, recorder).run())
+            group.create_task(Runner(mission, setup, recorder).run())
 
     with RecordingWriter(tmp_path / "log.mcap") as recorder:
         jumploop.run(go())
@@ -162,29 +161,29 @@ def test_every_reception_is_looked_at_as_soon_as_it_can_be(tmp_path: Path) -> No
 def test_silent_vehicles_are_named_before_anything_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mission.shell.runner.READY_TIMEOUT_S", 5.0)
+    monkeypatch.setattr("mission.shell.start.READY_TIMEOUT_S", 5.0)
 
     class Mute(FakeFleet):
         async def _drive(self) -> None:
             await asyncio.Event().wait()
 
-    def silent(mission) -> Rig:  # type: ignore[no-untyped-def]
+    def silent(mission) -> Setup:  # type: ignore[no-untyped-def]
         clock = LoopClock(1_000 * 10**9)
         rovers = {name: Rover(*place) for name, place in start_places(mission).items()}
-        return Rig(clock, (), (Mute(rovers, clock),))
+        return Setup(clock, (), (Mute(rovers, clock),))
 
     with pytest.raises(DeviceTimeout, match="no telemetry from r1, r2, r3, r4"):
-        fly(tmp_path, rig_of=silent)
+        fly(tmp_path, setup_of=silent)
     assert open_recording(tmp_path / "mission.mcap").complete
 
 
 def test_a_mistake_in_the_kernel_holds_the_vehicles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fleets: list[FakeFleet] = []
 
-    def keep(mission) -> Rig:  # type: ignore[no-untyped-def]
-        rig = rig_for(mission)
-        fleets.append(rig.links[0])  # type: ignore[arg-type]
-        return rig
+    def keep(mission) -> Setup:  # type: ignore[no-untyped-def]
+        setup = setup_for(mission)
+        fleets.append(setup.links[0])  # type: ignore[arg-type]
+        return setup
 
     from mission.core.kernel import Kernel
 
@@ -197,7 +196,7 @@ def test_a_mistake_in_the_kernel_holds_the_vehicles(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(Kernel, "_finished", fails)
     with pytest.raises(ZeroDivisionError):
-        fly(tmp_path, rig_of=keep)
+        fly(tmp_path, setup_of=keep)
     assert set(fleets[0]._mode.values()) == {"hold"}
     assert open_recording(tmp_path / "mission.mcap").complete
 
@@ -206,7 +205,7 @@ def test_progress_says_what_each_robot_does(tmp_path: Path) -> None:
     seen: list[Progress] = []
     mission = small_mission(tmp_path, duration_s=15.0)
     with RecordingWriter(tmp_path / "log.mcap") as recorder:
-        jumploop.run(Runner(mission, rig_for(mission), recorder, seen.append).run())
+        jumploop.run(Runner(mission, setup_for(mission), recorder, seen.append).run())
     assert seen[-1].doing.keys() == set(mission.kernel.engine.robots)
     assert any(note.startswith("end:") for progress in seen for note in progress.notes)
 
@@ -218,24 +217,3 @@ async def test_the_fake_fleet_refuses_what_a_vehicle_would(tmp_path: Path) -> No
             await fleet.goto("a", Waypoint(1.0, 1.0, 0.3))
         with pytest.raises(DeviceError, match="no vehicle 'b'"):
             await fleet.hold("b")
-
-
-async def test_an_order_that_fails_again_and_again_is_noted_once(tmp_path: Path) -> None:
-    class Silent(FakeFleet):
-        async def hold(self, robot: str) -> None:
-            asked.set()
-            raise DeviceTimeout("a: no answer to 5 attempts; check the link")
-
-    clock, asked, notes = ScaledClock(20.0), asyncio.Event(), []
-    link = Silent({"a": Rover(0.0, 0.0)}, clock)
-    helm = Helm((link,), clock, lambda level, text: notes.append(text))
-    tasks = helm.tasks()
-    for _ in range(3):
-        asked.clear()
-        helm.order("a", Hold(0, "a", "its link is down"))
-        await asked.wait()
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
-    assert notes == ["a: Hold: a: no answer to 5 attempts; check the link"]
-    assert helm.answers["a"][1].startswith("a: no answer")

@@ -11,7 +11,7 @@ from mission.lab.synthetic import small_mission
 from mission.replay.replay import replay
 from mission.shell import setups
 from mission.shell.runner import Runner
-from mission.shell.setups import Rig
+from mission.shell.setups import Setup
 from mission.shell.warm_up import warm_up
 
 
@@ -20,12 +20,12 @@ def test_an_unplugged_radio_and_a_lost_link_stop_neither_mission_nor_record(tmp_
     warm_up(mission)
     sources = (TransientSource(5.0, 4.0, 0.0, 0.3),)
 
-    async def go(runner: Runner, rig: Rig) -> None:
+    async def go(runner: Runner, setup: Setup) -> None:
         async def faults() -> None:
-            await rig.clock.sleep(15.0)
-            await asyncio.to_thread(rig.emulator.unplug, "r1")
-            await rig.clock.sleep(15.0)
-            await asyncio.to_thread(rig.emulator.silence_vehicle, "r3")
+            await setup.clock.sleep(15.0)
+            await asyncio.to_thread(setup.emulator.unplug, "r1")
+            await setup.clock.sleep(15.0)
+            await asyncio.to_thread(setup.emulator.silence_vehicle, "r3")
 
         async with asyncio.TaskGroup() as group:
             group.create_task(runner.run())
@@ -33,11 +33,11 @@ def test_an_unplugged_radio_and_a_lost_link_stop_neither_mission_nor_record(tmp_
 
     path = tmp_path / "mission.mcap"
     with (
-        setups.emulated(mission, sources, seed=1, rate=5.0) as rig,
+        setups.emulated(mission, sources, seed=1, rate=5.0) as setup,
         RecordingWriter(path, mission_toml=mission.text, antenna_toml=mission.antenna_text) as recorder,
     ):
-        runner = Runner(mission, rig, recorder)
-        asyncio.run(go(runner, rig))
+        runner = Runner(mission, setup, recorder)
+        asyncio.run(go(runner, setup))
     recording = open_recording(path)
     assert recording.complete
     events = [event for _, _, event in recording.events()]

@@ -10,10 +10,10 @@ from fieldkit.channel.antenna_file import AntennaFile
 from fieldkit.channel.pattern import lobe_gain_db
 from fieldkit.messages import GoTo
 from fieldkit.recording.reader import open_recording
-from mission.lab.demo import fly
 from mission.lab.synthetic import ANTENNA, hidden_sources, small_mission
 from mission.replay.replay import replay
 from mission.shell import setups
+from mission.shell.flight import fly
 from mission.shell.warm_up import warm_up
 
 HEADING = np.arange(0.0, 360.0, 10.0)
@@ -40,8 +40,8 @@ def test_a_system_of_the_papers_flies_the_live_path(name: str, tmp_path: Path) -
     )
     warm_up(mission)
     log = tmp_path / "mission.mcap"
-    with setups.emulated(mission, hidden_sources(2), seed=2, rate=10.0) as rig:
-        runner = fly(mission, rig, log, truth=hidden_sources(2))
+    with setups.emulated(mission, hidden_sources(2), seed=2, rate=10.0) as setup:
+        runner = fly(mission, setup, log, truth=hidden_sources(2))
     assert "time is up" in runner.end_reason
     assert runner.kernel.detections > 0
     steered = {c.robot for _, _, _, c in open_recording(log).commands() if isinstance(c, GoTo)}

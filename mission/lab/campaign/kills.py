@@ -174,16 +174,16 @@ def fly(folder: str, seed: int, rate: float) -> None:
 
         def put(self, event: Event) -> None:
             super().put(event)
-            os.write(journal, f"arrived {self.rig.clock.now_ns()}\n".encode("ascii"))
+            os.write(journal, f"arrived {self.setup.clock.now_ns()}\n".encode("ascii"))
 
     with (
-        setups.emulated(mission, hidden_sources(seed), seed=seed, rate=rate) as rig,
+        setups.emulated(mission, hidden_sources(seed), seed=seed, rate=rate) as setup,
         Journaled(
             Path(folder) / "mission.mcap",
             mission_toml=mission.text,
             antenna_toml=mission.antenna_text,
             frame=mission.frame,
-            start_ns=rig.clock.now_ns(),
+            start_ns=setup.clock.now_ns(),
         ) as recorder,
     ):
-        asyncio.run(Watched(mission, rig, recorder).run())
+        asyncio.run(Watched(mission, setup, recorder).run())

@@ -38,7 +38,7 @@ from mission.lab.synthetic import ANTENNA, LEVELS_DB
 from mission.replay.replay import replay, resumable
 from mission.safety.rules import SafetySettings
 from mission.shell.runner import Runner
-from mission.shell.setups import Rig, replace_options, start_places, with_vehicles
+from mission.shell.setups import Setup, replace_options, start_places, with_vehicles
 
 START_NS = 1_760_000_000 * 1_000_000_000
 LARGE_EVERY = 4
@@ -229,7 +229,7 @@ async def _run(flight: Flight, port: int, past: Path | None) -> str:
         for robot in flight.mission.file.robot
     )
     links = with_vehicles(flight.mission, robots, flight.clock)
-    rig = Rig(flight.clock, tuple(flight.radios.values()), links)
+    setup = Setup(flight.clock, tuple(flight.radios.values()), links)
     path = flight.folder / f"mission-{len(flight.recordings)}.mcap"
     flight.recordings.append(path)
     recorder = RecordingWriter(
@@ -238,11 +238,11 @@ async def _run(flight: Flight, port: int, past: Path | None) -> str:
         antenna_toml=flight.mission.antenna_text,
         start_ns=0 if past is not None else flight.clock.now_ns(),
     )
-    runner = flight.runner = Runner(flight.mission, rig, recorder)
+    runner = flight.runner = Runner(flight.mission, setup, recorder)
     if past is not None:
         recording = open_recording(past)
         resumable(recording)
-        runner.relive(recording.steps())
+        runner.rebuild(recording.steps())
     reason = await runner.run()
     recorder.close()
     flight.ended_s = flight.clock.elapsed_s()

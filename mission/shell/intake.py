@@ -1,0 +1,46 @@
+"""What devices say, as events. A device that fails is a fact for the mission, not its end."""
+
+import logging
+from collections.abc import AsyncIterator, Callable, Container
+
+from fieldkit.clock import Clock
+from fieldkit.errors import DeviceError
+from fieldkit.messages import Event, Pose, ReceiverState, VehicleState
+from fieldkit.ports import PositionSource, Receiver, VehicleLink
+
+logger = logging.getLogger(__name__)
+
+
+async def from_receiver(receiver: Receiver, clock: Clock) -> AsyncIterator[Event]:
+    """A receiver that fails is down."""
+    try:
+        async for reading in receiver.readings():
+            yield reading
+    except DeviceError as error:
+        logger.warning("%s: receiver: %s", receiver.robot, error)
+        yield ReceiverState(clock.now_ns(), receiver.robot, False, str(error))
+
+
+async def from_link(link: VehicleLink, clock: Clock, placed: Container[str]) -> AsyncIterator[Event]:
+    """A link that fails is down for all its robots; the others go on.
+
+    Poses of robots in `placed` come from elsewhere.
+    """
+    try:
+        async for event in link.events():
+            if not (isinstance(event, Pose) and event.robot in placed):
+                yield event
+    except DeviceError as error:
+        logger.warning("%s: link: %s", ", ".join(link.robots), error)
+        for robot in link.robots:
+            yield VehicleState(clock.now_ns(), robot, "unknown", False, False, None, str(error))
+
+
+async def from_positions(source: PositionSource, note: Callable[[str, str], None]) -> AsyncIterator[Event]:
+    """A source that fails leaves its robots without a position: safety holds them."""
+    try:
+        async for pose in source.poses():
+            yield pose
+    except DeviceError as error:
+        logger.warning("positions of %s: %s", ", ".join(source.robots), error)
+        note("warning", f"positions of {', '.join(source.robots)}: {error}")
