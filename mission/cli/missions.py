@@ -24,6 +24,9 @@ JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result alone, as JSON, on standard output.")
 ]
 
+UNCONFIRMED_EXIT = 4
+"""Exit code of a mission whose vehicles have not all shown that they hold."""
+
 
 def _say(text: str) -> None:
     typer.echo(text, err=True)
@@ -92,13 +95,14 @@ def run(
 ) -> None:
     """Run a mission on your own radios and vehicles, with a live page in the browser.
 
-    Enter holds all vehicles, Ctrl-C holds them and closes the recording.
+    Enter holds all vehicles, Ctrl-C holds them and closes the recording. Exit code 4: a vehicle has not shown that it
+    holds.
 
     --resume goes on after a crash or power cut: the same belief, the vehicles adopted, nothing re-armed unasked.
 
     Example: fieldkit run mission.toml
     """
-    from fieldkit.errors import ConfigError
+    from fieldkit.errors import ConfigError, FieldkitError
     from fieldkit.files import write_whole
     from fieldkit.recording.reader import open_recording
     from mission.analysis.report import write_report
@@ -130,7 +134,6 @@ def run(
         runner = fly(
             mission, setup, folder / "mission.mcap", watch.show, page=shown, override=override, past=past
         )
-    write_report(folder / "mission.mcap", folder / "report.html")
     finds = [plain_source(source) for source in runner.kernel.sources()]
     if as_json:
         _print_json(
@@ -138,13 +141,26 @@ def run(
             | {
                 "sources": finds,
                 "recording": str(folder / "mission.mcap"),
+                "recording_failure": runner.recorder.failure,
                 "report": str(folder / "report.html"),
             }
         )
-        return
-    typer.echo(f"ended: {runner.end_reason}")
-    sources_table(finds)
-    typer.echo(f"written: {folder}/{{mission.mcap, mission.toml, report.html}}")
+    else:
+        # First of all what was found: nothing that fails below may keep it from the operator.
+        typer.echo(f"ended: {runner.end_reason}")
+        sources_table(finds)
+    if runner.recorder.failure:
+        _say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above")
+    try:
+        write_report(folder / "mission.mcap", folder / "report.html")
+    except (OSError, FieldkitError) as error:
+        _say(f"no report was written: {error}; 'fieldkit report {folder}/mission.mcap -o FILE' tries again")
+    else:
+        _say(f"written: {folder}/{{mission.mcap, mission.toml, report.html}}")
+    if runner.unconfirmed:
+        names = ", ".join(runner.unconfirmed)
+        _say(f"NOT CONFIRMED to hold: {names}. Stop by hand: remote control, or the vehicle's switch")
+        raise typer.Exit(UNCONFIRMED_EXIT)
 
 
 def preflight(

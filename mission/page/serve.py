@@ -21,7 +21,7 @@ class LivePage:
     def __init__(self, mission: Mission, host: str, port: int) -> None:
         self._runner: Runner | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self.follower = LiveShow(View(mission, self._answers))
+        self.follower = LiveShow(View(mission, self._answers, alarms=self._alarms))
         self.page = Page(self.follower, self._command, host=host, port=port)
         self.follower.page = self.page
 
@@ -31,6 +31,9 @@ class LivePage:
 
     def _answers(self) -> dict[str, tuple[str, str]]:
         return {} if self._runner is None else self._runner.dispatcher.answers
+
+    def _alarms(self) -> list[str]:
+        return [] if self._runner is None else self._runner.alarms()
 
     def _command(self, command: dict[str, Any]) -> str:
         """In the server's thread: over to the mission's. Why it is refused, or nothing."""

@@ -48,14 +48,18 @@ NORMAL_90 = 2.146
 _NUMBERS = re.compile(r"\d+(\.\d+)?")
 
 Answers = Callable[[], Mapping[str, tuple[str, str]]]
+Alarms = Callable[[], Sequence[str]]
+"""What the operator must know at once, in words, as long as it lasts."""
 
 
 class View:
     """See the module. Not for several threads."""
 
-    def __init__(self, mission: Mission, answers: Answers = dict, kept: int | None = KEPT) -> None:
+    def __init__(
+        self, mission: Mission, answers: Answers = dict, kept: int | None = KEPT, alarms: Alarms = tuple
+    ) -> None:
         self.mission = mission
-        self._answers = answers
+        self._answers, self._alarms = answers, alarms
         engine = mission.kernel.engine
         self._robots = {name: Watched(name) for name in engine.robots}
         self._seen_ns: dict[str, int] = {}
@@ -218,6 +222,7 @@ class View:
             "robots": [self._robot(robot) for robot in self._robots.values()],
             "sources": [_source(source) for source in self._sources],
             "areas_m": self._areas,
+            "alarms": list(self._alarms()),
         }
 
     def grids(self) -> list[dict[str, Any]]:

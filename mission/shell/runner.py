@@ -14,7 +14,7 @@ import asyncio
 import contextlib
 import logging
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -49,6 +49,8 @@ from mission.shell.vehicle_fences import VehicleFences
 logger = logging.getLogger(__name__)
 
 TICK_S = 0.5
+LATE_STOP_S = 1.5
+"""A stop that takes longer to be shown than over a poor link is an alarm."""
 DUE_SLACK_S = 0.002
 """Receptions this near to each other are looked at together."""
 
@@ -65,10 +67,8 @@ class Progress:
     notes: tuple[str, ...]
     probability_left: float = 1.0
     """That a source of the reference rate is still not found, as last looked at."""
-    unconfirmed: Mapping[str, float] = field(default_factory=dict)
-    """Robots that were told to hold and have not shown it, and for how many seconds."""
-    recording_failure: str = ""
-    """Why nothing is recorded any more; empty while it is."""
+    alarms: tuple[str, ...] = ()
+    """What the operator must know at once, as long as it lasts."""
 
 
 @dataclass
@@ -365,19 +365,27 @@ class Runner:
             self._doing[command.robot] = f"held: {command.reason}"
         self.dispatcher.order(command.robot, command)
 
+    def alarms(self) -> list[str]:
+        """Stops that vehicles have not shown, and a recording that has stopped."""
+        late = {name: s for name, s in self.dispatcher.unconfirmed().items() if s >= LATE_STOP_S}
+        alarms = [f"{name} has not shown for {late_s:.0f} s that it holds" for name, late_s in late.items()]
+        return alarms + ([f"NOTHING IS RECORDED: {self.recorder.failure}"] if self.recorder.failure else [])
+
     def _show(self, t_ns: int, outcome: Outcome) -> None:
-        self.on_progress(
-            Progress(
-                self.kernel.elapsed_s(t_ns),
-                self.kernel.detections,
-                self.kernel,
-                dict(self._doing),
-                outcome.notes,
-                self.records.left,
-                self.dispatcher.unconfirmed(),
-                self.recorder.failure,
-            )
+        progress = Progress(
+            self.kernel.elapsed_s(t_ns),
+            self.kernel.detections,
+            self.kernel,
+            dict(self._doing),
+            outcome.notes,
+            self.records.left,
+            tuple(self.alarms()),
         )
+        try:
+            self.on_progress(progress)
+        except Exception:  # a terminal that has gone, or a mistake in what shows: neither is the mission
+            self.on_progress = lambda _: None
+            logger.exception("progress is no longer shown; the mission goes on")
 
     # -- what goes out ---------------------------------------------------------------------------------------
 

@@ -1,5 +1,6 @@
 """What a mission shows in a terminal: progress while it runs, tables when it is over."""
 
+import contextlib
 from types import TracebackType
 from typing import Any, Self
 
@@ -24,6 +25,7 @@ class Watch:
         self._live = Live(console=self._console, refresh_per_second=4, transient=True)
         self._notes: list[str] = []
         self._last_s = -PLAIN_EVERY_S
+        self._alarmed: set[str] = set()
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
@@ -33,11 +35,19 @@ class Watch:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._live.is_started:
-            self._live.stop()
+        with contextlib.suppress(OSError):
+            if self._live.is_started:
+                self._live.stop()
 
     def show(self, progress: Progress) -> None:
-        """Take in the state after a tick."""
+        """Take in the state after a tick. Raises `OSError` where the terminal has gone."""
+        for alarm in progress.alarms:
+            name = alarm.split(" for ")[0]  # a number that grows is no new alarm
+            if name not in self._alarmed and not self._live.is_started:
+                self._console.print(
+                    f"{progress.elapsed_s:6.0f} s  ALARM: {alarm}", style="bold red", markup=False
+                )
+            self._alarmed.add(name)
         for note in progress.notes:
             line = f"{progress.elapsed_s:6.0f} s  {note}"
             if self._live.is_started:
@@ -90,7 +100,7 @@ def _panel(progress: Progress) -> Group:
     head.append(f"   {candidates} candidates   one is left: {progress.probability_left:.2f}")
     table = Table.grid(padding=(0, 2))
     for team, what in _teams(progress):
-        table.add_row(team, what)
+        table.add_row(Text(team), Text(what))
     sources = Table(show_edge=False, box=None, padding=(0, 2))
     for column in ("source", "east m", "north m", "P", "receptions", "state"):
         sources.add_column(column, justify="right" if column != "state" else "left")
@@ -105,7 +115,8 @@ def _panel(progress: Progress) -> Group:
             s.state,
             style=style,
         )
-    return Group(head, table, sources)
+    alarms = [Text(alarm, style="bold white on red") for alarm in progress.alarms]
+    return Group(*alarms, head, table, sources)
 
 
 def result_table(plain: dict[str, Any]) -> None:
@@ -163,7 +174,7 @@ def sources_table(sources: list[dict[str, Any]]) -> None:
     for s in sources:
         table.add_row(
             str(s["ident"]), s["state"], f"{s['east_m']:.2f}", f"{s['north_m']:.2f}", f"{s['sigma_m']:.2f}",
-            f"{s['p_within_one_cell']:.2f}", f"{s['receptions']:.1f}", f"{s['rate_hz']:.3f}", s["note"],
+            f"{s['p_within_one_cell']:.2f}", f"{s['receptions']:.1f}", f"{s['rate_hz']:.3f}", Text(s["note"]),
         )  # fmt: skip
     Console().print(table)
 
@@ -179,7 +190,7 @@ def checks_table(checks: list[Check]) -> None:
     table = Table(title=f"before the start: {worst(checks)}", title_justify="left")
     table.add_column("check")
     for robot in robots:
-        table.add_column(robot)
+        table.add_column(Text(robot))
     for name in names:
         cells = []
         for robot in robots:

@@ -75,6 +75,16 @@ function fillCard(part, robot) {
 }
 const age = (seconds) => (seconds === null ? "–" : seconds < 1 ? "now" : seconds < 100 ? `${seconds.toFixed(seconds < 10 ? 1 : 0)} s ago` : `${clock(seconds)} ago`);
 
+function alarms(frame) {
+  const box = $("alarms");
+  const said = frame.alarms ?? [];
+  const now = said.join("\n");
+  if (box.dataset.said === now) return;
+  box.dataset.said = now;
+  box.hidden = !said.length;
+  box.replaceChildren(...said.map((text) => element("li", { textContent: text })));
+}
+
 function robots(frame) {
   const box = $("robots").querySelector(".cards");
   for (const robot of frame.robots) {
@@ -149,6 +159,7 @@ let shown = { detections: null, notes: null };
 export function fill() {
   const frame = model.frame;
   if (!frame || !model.hello) return;
+  alarms(frame);
   robots(frame);
   sources(frame);
   const marks = { detections: model.detections.at(-1), notes: model.notes.at(-1) };
