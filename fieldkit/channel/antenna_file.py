@@ -137,6 +137,8 @@ def read_antenna(path: Path, *, allow_refused: bool = False, allow_pattern: bool
         raise ConfigError(f"{path}: no such antenna file; make one with 'fieldkit calibrate fit'") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     parsed = parse_antenna(raw, str(path))
     if parsed.pattern and not allow_pattern:
         raise ConfigError(

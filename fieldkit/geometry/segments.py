@@ -1,21 +1,14 @@
-"""Straight ways of robots: how near two of them come, and what lies outside a fence. Pure geometry, field frame."""
+"""Straight segments driven in time: how near two of them come. Pure geometry, field frame."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-import numpy as np
-
-from fieldkit.geometry.polygons import KeepOut, Polygon
-
 Place = tuple[float, float]
-FAR_M = 1e7
-"""How far the ground outside a fence is taken to reach."""
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class Segment:
     """From one place straight to another, and to stand there. A robot that stands goes to where it is."""
 
     start_m: Place
@@ -26,7 +19,7 @@ class Way:
     arrival_s: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        # Once: safety looks at the ways of every two robots at every tick.
+        # Once: safety looks at the segments of every two robots at every tick.
         length_m = math.dist(self.start_m, self.end_m)
         object.__setattr__(self, "length_m", length_m)
         takes_s = length_m / self.speed_m_s if self.speed_m_s > 0 else 0.0
@@ -41,12 +34,12 @@ class Way:
         return (e0 + share * (e1 - e0), n0 + share * (n1 - n0))
 
 
-def standing(place_m: Place) -> Way:
+def standing(place_m: Place) -> Segment:
     """A robot that stays where it is."""
-    return Way(place_m, place_m)
+    return Segment(place_m, place_m)
 
 
-def nearest_m(one: Way, other: Way, one_late_s: float = 0.0, other_late_s: float = 0.0) -> float:
+def nearest_m(one: Segment, other: Segment, one_late_s: float = 0.0, other_late_s: float = 0.0) -> float:
     """The least distance between two robots that set out now, or so much later, each at its speed."""
     moments = {
         0.0,
@@ -59,13 +52,13 @@ def nearest_m(one: Way, other: Way, one_late_s: float = 0.0, other_late_s: float
     return min((_from_origin(a, b) for a, b in pairwise(apart)), default=math.hypot(*apart[-1]))
 
 
-def keep_apart_m(one: Way, other: Way) -> float:
+def keep_apart_m(one: Segment, other: Segment) -> float:
     """A distance they cannot come nearer than, whatever their speeds: quickly told, and rarely more than needed."""
     return math.dist(one.start_m, other.start_m) - one.length_m - other.length_m
 
 
-def ever_m(one: Way, other: Way) -> float:
-    """The least distance between two ways, whenever they are driven."""
+def ever_m(one: Segment, other: Segment) -> float:
+    """The least distance between two segments, whenever they are driven."""
     if _cross(one, other):
         return 0.0
     return min(
@@ -76,18 +69,18 @@ def ever_m(one: Way, other: Way) -> float:
     )
 
 
-def leaves(way: Way, ground: Way, clear_m: float) -> bool:
-    """Whether a way that starts on or beside another's ground leads off it at once, and clear of it.
+def leaves(segment: Segment, ground: Segment, clear_m: float) -> bool:
+    """Whether a segment that starts on or beside another's ground leads off it at once, and clear of it.
 
-    At more than 30 degrees: the distance from a straight ground grows all along a straight way that begins so.
+    At more than 30 degrees: the distance from a straight ground grows all along a straight segment that begins so.
     """
-    if way.length_m == 0:
+    if segment.length_m == 0:
         return False
-    share = min(1.0, clear_m / way.length_m)
-    (e0, n0), (e1, n1) = way.start_m, way.end_m
-    places = (way.start_m, (e0 + share * (e1 - e0), n0 + share * (n1 - n0)), way.end_m)
+    share = min(1.0, clear_m / segment.length_m)
+    (e0, n0), (e1, n1) = segment.start_m, segment.end_m
+    places = (segment.start_m, (e0 + share * (e1 - e0), n0 + share * (n1 - n0)), segment.end_m)
     at_start_m, soon_m, at_end_m = (to_segment_m(place, ground.start_m, ground.end_m) for place in places)
-    return at_end_m >= clear_m and soon_m >= at_start_m + 0.5 * share * way.length_m
+    return at_end_m >= clear_m and soon_m >= at_start_m + 0.5 * share * segment.length_m
 
 
 def to_segment_m(point: Place, start: Place, end: Place) -> float:
@@ -98,20 +91,20 @@ def to_segment_m(point: Place, start: Place, end: Place) -> float:
     )
 
 
-def _cross(one: Way, other: Way) -> bool:
-    """Whether each has its ends on both sides of the other. Ways that only touch do not cross: an end is near."""
+def _cross(one: Segment, other: Segment) -> bool:
+    """Whether each has its ends on both sides of the other. Segments that only touch do not cross: an end is near."""
     return _parts(one, other) and _parts(other, one)
 
 
-def _parts(way: Way, other: Way) -> bool:
-    """Whether the line along a way has the ends of another on different sides."""
-    left, right = _side(way, other.start_m), _side(way, other.end_m)
+def _parts(segment: Segment, other: Segment) -> bool:
+    """Whether the line along a segment has the ends of another on different sides."""
+    left, right = _side(segment, other.start_m), _side(segment, other.end_m)
     return (left < 0.0 < right) or (right < 0.0 < left)
 
 
-def _side(way: Way, point: Place) -> float:
-    """Positive to the left of the line along a way, 0 on it."""
-    (e0, n0), (e1, n1) = way.start_m, way.end_m
+def _side(segment: Segment, point: Place) -> float:
+    """Positive to the left of the line along a segment, 0 on it."""
+    (e0, n0), (e1, n1) = segment.start_m, segment.end_m
     return (e1 - e0) * (point[1] - n0) - (n1 - n0) * (point[0] - e0)
 
 
@@ -125,24 +118,3 @@ def _from_origin(a: Place, b: Place) -> float:
     length2 = step[0] ** 2 + step[1] ** 2
     share = 0.0 if length2 == 0 else min(max(-(a[0] * step[0] + a[1] * step[1]) / length2, 0.0), 1.0)
     return math.hypot(a[0] + share * step[0], a[1] + share * step[1])
-
-
-def outside(fence: Sequence[Place]) -> Polygon:
-    """All ground outside a fence (at least three corners) as one polygon to keep out of.
-
-    A keyhole: round the far border, in along a seam, round the fence, out along the same seam. The seam runs west
-    from the westernmost corner, so it lies outside, and a ray to the east never crosses it.
-    """
-    first = min(range(len(fence)), key=lambda index: fence[index][0])
-    corners = [*fence[first:], *fence[:first]]
-    seam = (-FAR_M, corners[0][1])
-    far = [seam, (-FAR_M, -FAR_M), (FAR_M, -FAR_M), (FAR_M, FAR_M), (-FAR_M, FAR_M), seam]
-    return (*far, *corners, corners[0])
-
-
-def margin_m(place: Place, fence: Sequence[Place]) -> float:
-    """Distance of a place from a fence; negative outside it."""
-    edges = zip(fence, (*fence[1:], fence[0]), strict=True)
-    distance = min(to_segment_m(place, start, end) for start, end in edges)
-    is_inside = KeepOut((tuple(fence),)).contains(np.array([place]))[0]
-    return distance if is_inside else -distance

@@ -6,17 +6,18 @@ generators, so feeding a recorded inbox gives the same belief and the same comma
 
 import hashlib
 import struct
-from collections import deque
+from collections import Counter, deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fieldkit import plugins
+from fieldkit import settings as given
 from fieldkit.engine.association.detections import Associator
 from fieldkit.engine.belief.base import Belief
 from fieldkit.engine.planning.base import Planner, Situation
 from fieldkit.engine.settings import EngineSettings
-from fieldkit.geometry.polygons import KeepOut
 from fieldkit.messages import (
     Command,
     Detection,
@@ -43,24 +44,27 @@ class KernelSettings:
     engine: EngineSettings
     belief: str = "intensity"
     planner: str = "infogain"
-    association_window_s: float = 0.1
-    association_lateness_s: float = 1.0
-    max_pose_gap_s: float = 1.0
-    arrive_m: float = 0.15
-    max_duration_s: float = 3600.0
+    association_window_s: float = given.WINDOW_S.default
+    association_lateness_s: float = given.LATENESS_S.default
+    max_pose_gap_s: float = given.POSE_GAP_S.default
+    arrive_m: float = given.ARRIVE_M.default
+    """A robot so near to its way-point has arrived."""
+    altitude_m: Mapping[str, float] = field(default_factory=dict, hash=False)
+    """Robots that fly, and how high."""
+    max_duration_s: float = given.MAX_DURATION_S.default
     sources_expected: int | None = None
     """End when this many are found; None where nobody knows."""
     stop_probability_left: float | None = None
     """End when the probability that a source is left falls below this."""
     stop_after_periods: int | None = None
     """End when nothing more was found in so many planning periods in a row: k_max of RWA and PRWA's Algorithm 2."""
-    deaf_limit_s: float = 10.0
+    deaf_limit_s: float = given.RADIO_TIMEOUT_S.default
     """A robot whose radio is down for longer is not planned for: its team goes on without it."""
-    battery_reserve_pct: float = 25.0
+    battery_reserve_pct: float = given.BATTERY_RESERVE_PCT.default
     """What must be left when a robot is home again."""
     battery_pct_per_m: float = 0.0
     """What a metre costs; 0 where it is not known: then no path is too long."""
-    idle_limit_s: float = 120.0
+    idle_limit_s: float = given.IDLE_LIMIT_S
     """End when no robot could be steered for this long: somebody has to look."""
 
 
@@ -73,6 +77,8 @@ NEWS_RANGES = 2.0
 """Within so many nominal ranges of the loudest source, what a robot hears may be from a source not found yet."""
 NEWS_EVERY_S = 5.0
 """A team is not planned for anew more often on what it hears."""
+LATE_LEGS = 3
+"""So many legs in a row that ended by time-out are worth a word."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +111,7 @@ class _Task:
     """A team on its way along a plan."""
 
     paths: dict[str, tuple[Waypoint, ...]]
+    began_ns: int
     leg: int = 0
     leg_started_ns: int = 0
     leg_limit_s: float = 0.0
@@ -137,6 +144,10 @@ class Kernel:
         self.detections = 0
         self._closed = engine.keep_out
         self._backlog: deque[Detection] = deque()
+        self.legs_timed_out: Counter[str] = Counter()
+        """Robot to how many of its legs ended by time-out, not at their way-points."""
+        self._late_legs: Counter[str] = Counter()
+        """The same, in a row."""
         self.left_out = 0
         """Transmissions that were not thought about for lack of time."""
         self._now_ns = 0
@@ -238,7 +249,7 @@ class Kernel:
         """Plan anew round an area that robots must not enter from now on."""
         if len(event.area_m) < 3 or not np.isfinite(event.area_m).all():
             return Outcome(notes=("operator: an area needs at least three corners: nothing was closed",))
-        self._closed = KeepOut((*self._closed.polygons, event.area_m))
+        self._closed = self._closed.also(event.area_m)
         planner = plugins.load("fieldkit.planners", self.settings.planner)
         self.planner = planner(replace(self.settings.engine, keep_out=self._closed))
         self._tasks.clear()
@@ -266,7 +277,7 @@ class Kernel:
             return Outcome(ended.commands, tuple(detections), None, (*notes, *ended.notes))
         self._unplanned.update(self._with_news(now_ns, teams, detections))
         plan = self._plan(now_ns, self._to_plan(now_ns, teams, found_more))
-        commands = self._follow(now_ns)
+        commands = self._follow(now_ns, notes)
         return Outcome(tuple(commands), tuple(detections), plan, tuple(notes))
 
     def _believe(self, now_ns: int, detections: list[Detection]) -> bool:
@@ -348,7 +359,7 @@ class Kernel:
     def _note_finds(self, now_ns: int, notes: list[str]) -> bool:
         """Keep the times of finds; whether one was made or withdrawn."""
         changed = False
-        found = {source.ident: source for source in self.sources() if source.state in ("found", "removed")}
+        found = {source.ident: source for source in self.sources() if self._counts(source)}
         for ident, source in found.items():
             if ident not in self.found_at_s:
                 self.found_at_s[ident] = self.elapsed_s(now_ns)
@@ -363,6 +374,10 @@ class Kernel:
             notes.append(f"source {ident} is no longer found: {why}")
             changed = True
         return changed
+
+    def _counts(self, source: SourceEstimate) -> bool:
+        """Found; one that was taken away counts only if it had been found before."""
+        return source.state == "found" or (source.state == "removed" and source.ident in self.found_at_s)
 
     def _finished(self, now_ns: int, changed: bool) -> str:
         if self.elapsed_s(now_ns) >= self.settings.max_duration_s:
@@ -418,11 +433,32 @@ class Kernel:
         }
         range_m = {name: left for name in position if (left := self._range_m(name)) is not None}
         home_m = {name: robot.home_m for name, robot in self.robots.items() if robot.home_m is not None}
-        plan = self.planner.plan(Situation(now_ns, position, teams, busy, range_m, home_m), self.belief)
+        stray = {name: back for name in position if (back := self._way_back(position[name])) is not None}
+        inside = tuple(team for team in teams if not stray.keys() & team)
+        plan = self.planner.plan(
+            Situation(now_ns, position, inside, busy, range_m, home_m, frozenset(self.removed)), self.belief
+        )
         for team in teams:
-            paths = {robot: plan.paths.get(robot, ()) for robot in team}
-            self._tasks[team] = _Task(paths)
+            if team not in inside:
+                for robot in team:
+                    plan.paths[robot] = (stray[robot],) if robot in stray else ()
+                    plan.purpose[robot] = "back inside" if robot in stray else "wait"
+            self._tasks[team] = _Task({robot: plan.paths.get(robot, ()) for robot in team}, now_ns)
         return plan
+
+    def _way_back(self, place_m: tuple[float, float]) -> Waypoint | None:
+        """Where a robot that stands outside the fence or on closed ground goes first; None for one that does not."""
+        closed = self._closed if self._closed.fence else replace(self._closed, fence=self._rectangle())
+        if closed.wider(0.0).clearance_m(place_m) >= 0.0:
+            return None
+        engine = self.settings.engine
+        east_m, north_m = closed.wider(engine.fence_margin_m + self.settings.arrive_m).nearest_open(place_m)
+        return Waypoint(east_m, north_m, engine.max_speed_m_s)
+
+    def _rectangle(self) -> tuple[tuple[float, float], ...]:
+        grid = self.settings.engine.grid
+        east_m, north_m = grid.size_east_m, grid.size_north_m
+        return ((0.0, 0.0), (east_m, 0.0), (east_m, north_m), (0.0, north_m))
 
     def _range_m(self, name: str) -> float | None:
         """How far a robot can drive until its battery is at the reserve; None where that is not known."""
@@ -431,7 +467,7 @@ class Kernel:
             return None
         return max(0.0, vehicle.battery_pct - self.settings.battery_reserve_pct) / cost
 
-    def _follow(self, now_ns: int) -> list[Command]:
+    def _follow(self, now_ns: int, notes: list[str]) -> list[Command]:
         """Send a team to its next way-points once all its robots have arrived, or it has taken too long."""
         commands: list[Command] = []
         for team, task in list(self._tasks.items()):
@@ -439,11 +475,12 @@ class Kernel:
                 del self._tasks[team]
                 continue
             legs = max((len(path) for path in task.paths.values()), default=0)
-            if task.sent and task.leg < legs and self._leg_done(task, now_ns):
+            if task.sent and task.leg < legs and self._leg_done(task, now_ns, notes):
                 task.leg += 1
                 task.sent = False
             if task.leg >= legs:
-                if legs or (now_ns - task.leg_started_ns) * 1e-9 > self.settings.engine.planning_period_s:
+                # A team without a path waits for the next regular plan: asking at every tick would change nothing.
+                if legs or (now_ns - task.began_ns) * 1e-9 >= self.settings.engine.planning_period_s:
                     del self._tasks[team]
                 continue
             if not task.sent:
@@ -457,18 +494,33 @@ class Kernel:
         for robot, path in task.paths.items():
             if task.leg < len(path):
                 target = path[task.leg]
-                commands.append(GoTo(now_ns, robot, target))
+                up_m = self.settings.altitude_m.get(robot, target.up_m)
+                commands.append(GoTo(now_ns, robot, replace(target, up_m=up_m)))
                 limit_s = max(limit_s, self._distance(robot, target) / max(target.speed_m_s, 1e-3))
         task.leg_limit_s = 1.3 * limit_s + 5.0
         return commands
 
-    def _leg_done(self, task: _Task, now_ns: int) -> bool:
-        if (now_ns - task.leg_started_ns) * 1e-9 > task.leg_limit_s:
-            return True
-        return all(
-            task.leg >= len(path) or self._distance(robot, path[task.leg]) <= self.settings.arrive_m
+    def _leg_done(self, task: _Task, now_ns: int, notes: list[str]) -> bool:
+        """Whether all robots have arrived, or the leg has taken too long; who has not is counted."""
+        away = {
+            robot: self._distance(robot, path[task.leg])
             for robot, path in task.paths.items()
-        )
+            if task.leg < len(path)
+        }
+        late = {robot: m for robot, m in away.items() if m > self.settings.arrive_m}
+        if late and (now_ns - task.leg_started_ns) * 1e-9 <= task.leg_limit_s:
+            return False
+        for robot in away.keys() - late.keys():
+            self._late_legs.pop(robot, None)
+        for robot, away_m in late.items():
+            self.legs_timed_out[robot] += 1
+            self._late_legs[robot] += 1
+            if self._late_legs[robot] == LATE_LEGS:
+                notes.append(
+                    f"{robot}: {LATE_LEGS} legs in a row ended by time-out, the last {away_m:.1f} m before its "
+                    f"way-point; it counts as arrived within {self.settings.arrive_m:.2f} m (engine.arrive_m)"
+                )
+        return True
 
     def _distance(self, robot: str, target: Waypoint) -> float:
         pose = self.robots[robot].pose

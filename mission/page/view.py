@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldkit.geometry.segments import margin_m
+from fieldkit.geometry.polygons import margin_m
 from fieldkit.messages import (
     CallOperator,
     Command,

@@ -1,17 +1,19 @@
 """What is wrong with one robot, from what is known of it: the rules of safety, each a reason in words. Pure.
 
-Some keep it from being sent anywhere (`unfit`), others only matter to one that is under way (`astray`). A trouble
-says what follows when it lasts: home, where the robot is of no more use out there, or a call for the operator.
+Some keep it from being sent anywhere (`not_ready`), others only matter to one that is under segment
+(`under_way_trouble`). A trouble says what follows when it lasts: home, where the robot is of no more use out there, or
+a call for the operator.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Literal
 
-import numpy as np
-
+from fieldkit import settings as given
 from fieldkit.geometry.polygons import NOWHERE, KeepOut
-from fieldkit.geometry.segments import Place, Way, standing
+from fieldkit.geometry.segments import Place, Segment, standing
 from fieldkit.messages import Pose, ReceiverState, VehicleState
 
 LONG_AGO_NS = -(2**62)
@@ -24,52 +26,86 @@ SMOOTH_S = 1.0
 SLOW_M_S = 0.15
 """Slower than this is noise in the positions."""
 OBEYS_S = 2.5
-"""A robot has turned to its new way by then, if its order has got through."""
+"""A robot has turned to its new segment by then, if its order has got through."""
 AHEAD_S = 1.0
 """A position from further in the future than this comes from a clock that is wrong."""
+OUT_SIGMAS = 3.0
+"""A robot may be this many standard deviations of its position outside before it counts as outside."""
+OUT_S = 1.5
+"""... and is, when it has been for so long: one bad position is no reason to stop."""
+FAST_SHARE = 1.25
+FAST_SLACK_M_S = 0.2
+"""Faster than the limit by this share and this much is more than the noise of positions."""
+FAST_S = 3.0
+ACQUIRE_S = 10.0
+"""A vehicle that the operator has asked to be acquired anew may show its old mode for so long."""
 
 
 @dataclass(frozen=True, slots=True)
 class SafetySettings:
-    """Limits no command passes. The fence is the field's rectangle, `fence_margin_m` inside its border.
+    """Limits no command passes. Defaults and their meaning stand in `fieldkit.settings`.
 
-    `keep_out` holds what lies outside a fence polygon too.
+    The fence is that of `keep_out`, or the field's rectangle where it has none. Way-points stay `fence_margin_m`
+    inside it and off closed ground.
     """
 
     robots: tuple[str, ...]
     size_east_m: float
     size_north_m: float
-    fence_margin_m: float = 0.2
-    max_speed_m_s: float = 0.4
-    max_leg_m: float = 1_000.0
-    pose_timeout_s: float = 2.0
-    min_separation_m: float = 0.5
+    fence_margin_m: float = given.FENCE_MARGIN_M.default
+    max_speed_m_s: float = given.MAX_SPEED_M_S.default
+    max_leg_m: float = given.MAX_LEG_M.default
+    pose_timeout_s: float = given.POSE_TIMEOUT_S.default
+    min_separation_m: float = given.MIN_SEPARATION_M.default
+    vertical_separation_m: float = given.VERTICAL_SEPARATION_M.default
     keep_out: KeepOut = NOWHERE
-    overrun_s: float = 3.0
-    """Robots hold when the steering loop was silent for longer than this."""
-    radio_timeout_s: float = 10.0
-    """A robot whose radio is down for longer holds: it learns nothing by driving."""
-    radio_return_s: float = 120.0
-    """... and after this long goes home."""
-    stall_s: float = 15.0
-    """A robot that should have moved for this long and has not is stuck."""
-    call_after_s: float = 30.0
-    """A robot that had to be held for this long needs the operator."""
-    battery_reserve_pct: float = 25.0
-    battery_pct_per_m: float = 0.0
-    """What a metre costs; half as much again is kept for the way home. 0 where it is not known."""
+    overrun_s: float = given.OVERRUN_S.default
+    radio_timeout_s: float = given.RADIO_TIMEOUT_S.default
+    radio_return_s: float = given.RADIO_RETURN_S.default
+    stall_s: float = given.STALL_S.default
+    call_after_s: float = given.CALL_AFTER_S.default
+    battery_reserve_pct: float = given.BATTERY_RESERVE_PCT.default
+    battery_pct_per_m: float = given.BATTERY_PCT_PER_M.default
+    """What a metre costs; half as much again is kept for the segment home. 0 where it is not known."""
+    battery_low_v: float = given.BATTERY_LOW_V.default
+    braking_m: float = 0.0
+    """How far a robot rolls on after it was told to hold."""
+    altitude_m: Mapping[str, float] = field(default_factory=dict, hash=False)
+    """Robots that fly, and how high."""
 
     @property
     def near_m(self) -> float:
         """Robots nearer than this are too near: half the separation of way-points."""
         return 0.5 * self.min_separation_m
 
+    @property
+    def bounds(self) -> KeepOut:
+        """What robots must keep out of, fence included, without a margin."""
+        return _bounds(self.keep_out, self.size_east_m, self.size_north_m, 0.0)
+
+    @property
+    def margins(self) -> KeepOut:
+        """The same with the margin that way-points keep."""
+        return _bounds(self.keep_out, self.size_east_m, self.size_north_m, self.fence_margin_m)
+
+    @property
+    def fence(self) -> KeepOut:
+        """The fence alone, with that margin."""
+        bare = replace(self.keep_out, polygons=())
+        return _bounds(bare, self.size_east_m, self.size_north_m, self.fence_margin_m)
+
+
+@lru_cache(maxsize=64)
+def _bounds(keep_out: KeepOut, east_m: float, north_m: float, margin_m: float) -> KeepOut:
+    rectangle = ((0.0, 0.0), (east_m, 0.0), (east_m, north_m), (0.0, north_m))
+    return replace(keep_out, fence=keep_out.fence or rectangle, margin_m=margin_m)
+
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
     """Why a robot must not move, and what follows when that lasts."""
 
-    kind: Literal["position", "link", "battery", "radio", "fence", "near", "stuck", "late"]
+    kind: Literal["position", "link", "battery", "radio", "fence", "near", "fast", "stuck", "late"]
     """A trouble of another kind lasts from when it began, not from when the robot was first held."""
     reason: str
     then: Literal["operator", "return"] = "operator"
@@ -86,8 +122,8 @@ class Watched:
     vehicle: VehicleState | None = None
     home_m: Place | None = None
     """Where it was first seen."""
-    target: Way | None = None
-    """Our last word to it was this way; None: to hold, or nothing."""
+    target: Segment | None = None
+    """Our last word to it was this segment; None: to hold, or nothing."""
     ordered: str = ""
     """A standing order that only the operator lifts: "hold", "return", "release" or "withdraw"."""
     radio_down_ns: int | None = None
@@ -103,17 +139,27 @@ class Watched:
     progress_m: Place = (0.0, 0.0)
     progress_ns: int = LONG_AGO_NS
     """Where and when it was last seen to get on."""
-    fading: Way | None = None
-    """The way it was on when it was told to stop."""
+    fading: Segment | None = None
+    """The segment it was on when it was told to stop."""
     stopped_ns: int = LONG_AGO_NS
     now_ns: int = 0
     """The last tick."""
     velocity_m_s: Place = (0.0, 0.0)
     """East and north, smoothed over about a second."""
     sent_ns: int = LONG_AGO_NS
-    """When it was given the way it is on."""
+    """When it was given the segment it is on."""
     ours: bool = False
     """We have sent it somewhere."""
+    outside_m: float = 0.0
+    """How far outside the bounds it is, beyond what its position may be off; 0 inside."""
+    out_ns: int | None = None
+    """Since when."""
+    set_out_outside_m: float = 0.0
+    """How far outside it was when it was sent where it goes."""
+    fast_ns: int | None = None
+    """Since when it has been faster than the limit."""
+    resumed_ns: int = LONG_AGO_NS
+    """When the operator last asked for it to go on."""
 
     @property
     def moving(self) -> bool:
@@ -138,8 +184,8 @@ class Watched:
         """Somebody else steers it: it is not ours to stop. Of one that is not heard nobody knows."""
         return self.vehicle is not None and self.vehicle.link_up and self.vehicle.mode == "other"
 
-    def way(self) -> Way | None:
-        """What is left of its way; None where its place is not known.
+    def segment(self) -> Segment | None:
+        """What is left of its segment; None where its place is not known.
 
         One that was told to stop is taken to drive on until it says that it holds, or for `FADING_S`.
         """
@@ -149,16 +195,16 @@ class Watched:
         drives = self.target
         if drives is None and not self.holds and (self.now_ns - self.stopped_ns) * 1e-9 < FADING_S:
             drives = self.fading
-        return standing(here) if drives is None else Way(here, drives.end_m, drives.speed_m_s)
+        return standing(here) if drives is None else Segment(here, drives.end_m, drives.speed_m_s)
 
-    def ways(self) -> tuple[Way, ...]:
+    def segments(self) -> tuple[Segment, ...]:
         """All that it may be doing: one told to stop may have stopped already, or drive on."""
-        way, here = self.way(), self.place_m
-        if way is None or here is None:
+        segment, here = self.segment(), self.place_m
+        if segment is None or here is None:
             return ()
-        return (way,) if self.moving or way.length_m == 0 else (way, standing(here))
+        return (segment,) if self.moving or segment.length_m == 0 else (segment, standing(here))
 
-    def unseen(self, settings: SafetySettings) -> Way | None:
+    def unseen(self, settings: SafetySettings) -> Segment | None:
         """Where it may be, if its position is old: anywhere on what it can have driven since, until it is seen again.
 
         None while its position is good, and where it stood when that was lost.
@@ -172,23 +218,23 @@ class Watched:
             drives = self.fading  # told to stop, and not seen to stand
         if drives is None:
             return None
-        way = Way(here, drives.end_m, drives.speed_m_s)
-        return replace(way, end_m=way.at(FADING_S)) if way.length_m else None
+        segment = Segment(here, drives.end_m, drives.speed_m_s)
+        return replace(segment, end_m=segment.at(FADING_S)) if segment.length_m else None
 
     @property
     def strays(self) -> bool:
         """It drives, but not where it was sent: its order has not got through, and it goes on with an older one."""
-        way = self.way()
-        if self.target is None or way is None or way.length_m < JUMP_SLACK_M:
+        segment = self.segment()
+        if self.target is None or segment is None or segment.length_m < JUMP_SLACK_M:
             return False
         if (self.now_ns - self.sent_ns) * 1e-9 < OBEYS_S:
             return False
-        (east, north), (v_east, v_north) = way.start_m, self.velocity_m_s
+        (east, north), (v_east, v_north) = segment.start_m, self.velocity_m_s
         speed_m_s = math.hypot(v_east, v_north)
-        forward_m = v_east * (way.end_m[0] - east) + v_north * (way.end_m[1] - north)
-        return speed_m_s >= SLOW_M_S and forward_m < 0.5 * speed_m_s * way.length_m
+        forward_m = v_east * (segment.end_m[0] - east) + v_north * (segment.end_m[1] - north)
+        return speed_m_s >= SLOW_M_S and forward_m < 0.5 * speed_m_s * segment.length_m
 
-    def drift(self, ahead_s: float) -> Way | None:
+    def drift(self, ahead_s: float) -> Segment | None:
         """Where it will be soon, by how it has moved; for those that others steer, or nobody."""
         here = self.place_m
         if here is None:
@@ -197,7 +243,7 @@ class Watched:
         if speed_m_s < SLOW_M_S:
             return standing(here)
         east, north = (p + ahead_s * v for p, v in zip(here, self.velocity_m_s, strict=True))
-        return Way(here, (east, north), speed_m_s)
+        return Segment(here, (east, north), speed_m_s)
 
     def see(self, pose: Pose, settings: SafetySettings) -> None:
         """Take in a position. One that is no number is dropped; one out of reach is kept but not trusted."""
@@ -220,15 +266,34 @@ class Watched:
         self.pose = pose
         self.home_m = self.home_m or (pose.east_m, pose.north_m)
         self._get_on(pose, settings)
+        self._mind_bounds(pose, settings)
+        self._mind_speed(pose, settings)
+
+    def _mind_bounds(self, pose: Pose, settings: SafetySettings) -> None:
+        """Note how far outside it is, and since when."""
+        slack_m = OUT_SIGMAS * max(pose.sigma_m, 0.02)
+        self.outside_m = max(0.0, -settings.bounds.clearance_m((pose.east_m, pose.north_m)) - slack_m)
+        if self.outside_m == 0.0:
+            self.out_ns = None
+        elif self.out_ns is None:
+            self.out_ns = pose.t_ns
+
+    def _mind_speed(self, pose: Pose, settings: SafetySettings) -> None:
+        """Note since when it is faster than the limit, by more than its positions may be off."""
+        limit_m_s = FAST_SHARE * settings.max_speed_m_s + FAST_SLACK_M_S + 3.0 * pose.sigma_m / SMOOTH_S
+        if math.hypot(*self.velocity_m_s) <= limit_m_s:
+            self.fast_ns = None
+        elif self.fast_ns is None:
+            self.fast_ns = pose.t_ns
 
     def _get_on(self, pose: Pose, settings: SafetySettings) -> None:
-        """Note progress: a fifth of the way that it should have made in the time for a stall, or almost there."""
-        way = self.way()
-        if self.target is None or way is None:
+        """Note progress: a fifth of the segment that it should have made in the time for a stall, or almost there."""
+        segment = self.segment()
+        if self.target is None or segment is None:
             return
-        here = way.start_m
-        should_m = max(0.1, 0.2 * min(self.target.speed_m_s * settings.stall_s, way.length_m))
-        if way.length_m < max(0.5, settings.near_m) or math.dist(here, self.progress_m) >= should_m:
+        here = segment.start_m
+        should_m = max(0.1, 0.2 * min(self.target.speed_m_s * settings.stall_s, segment.length_m))
+        if segment.length_m < max(0.5, settings.near_m) or math.dist(here, self.progress_m) >= should_m:
             self.progress_m, self.progress_ns = here, pose.t_ns
 
     def hear(self, state: ReceiverState) -> None:
@@ -238,12 +303,12 @@ class Watched:
         elif self.radio_down_ns is None:
             self.radio_down_ns = state.t_ns
 
-    def send(self, way: Way, now_ns: int) -> None:
-        """It has been given a way."""
-        if self.target is None or math.dist(self.target.end_m, way.end_m) > 0.01:
-            self.progress_m, self.progress_ns = self.place_m or way.start_m, now_ns
-            self.sent_ns = now_ns
-        self.target, self.ours = way, True
+    def send(self, segment: Segment, now_ns: int) -> None:
+        """It has been given a segment."""
+        if self.target is None or math.dist(self.target.end_m, segment.end_m) > 0.01:
+            self.progress_m, self.progress_ns = self.place_m or segment.start_m, now_ns
+            self.sent_ns, self.set_out_outside_m = now_ns, self.outside_m
+        self.target, self.ours = segment, True
 
     def stop(self) -> None:
         """It has been told to hold."""
@@ -254,10 +319,12 @@ class Watched:
 
 def trouble_of(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | None:
     """Why this robot must not move; None when it may."""
-    return unfit(robot, settings, now_ns) or (astray(robot, settings, now_ns) if robot.moving else None)
+    return not_ready(robot, settings, now_ns) or (
+        under_way_trouble(robot, settings, now_ns) if robot.moving else None
+    )
 
 
-def unfit(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | None:
+def not_ready(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | None:
     """What keeps a robot from being sent anywhere."""
     if reason := _position_fault(robot, settings, now_ns):
         return Trouble("position", reason)
@@ -274,27 +341,41 @@ def unfit(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | No
     return None
 
 
-def astray(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | None:
-    """What stops a robot that is under way."""
+def under_way_trouble(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | None:
+    """What stops a robot that is under segment."""
     pose = robot.pose
     if pose is None:
         return Trouble("position", "its position is unknown")
-    # One that set out from outside is on its way in.
-    if _outside(robot.place_m, pose, settings) and not _outside(robot.set_out_m, pose, settings):
+    if _is_out(robot, settings, pose):
         return Trouble(
             "fence",
-            f"it is outside the fence, at {pose.east_m:.1f} m east, {pose.north_m:.1f} m north",
-            after_s=0.0,
+            f"it is outside the fence or on closed ground, {robot.outside_m:.1f} m deep, at {pose.east_m:.1f} m east, "
+            f"{pose.north_m:.1f} m north",
         )
-    if settings.keep_out.contains(np.array([[pose.east_m, pose.north_m]]))[0]:
-        return Trouble("fence", "it has entered ground it must keep out of", after_s=0.0)
     if robot.too_near:
         return Trouble(
             "near", f"it is, or would soon be, nearer than {settings.near_m:.2f} m to another robot"
         )
+    if robot.fast_ns is not None and (pose.t_ns - robot.fast_ns) * 1e-9 >= FAST_S:
+        speed_m_s = math.hypot(*robot.velocity_m_s)
+        return Trouble(
+            "fast",
+            f"it drives {speed_m_s:.1f} m/s where the limit is {settings.max_speed_m_s:.1f}: it ignores our speed",
+        )
     if reason := _stall(robot, settings, now_ns):
         return Trouble("stuck", reason, after_s=0.0)
     return None
+
+
+def _is_out(robot: Watched, settings: SafetySettings, pose: Pose) -> bool:
+    """Whether it is out of bounds: for a while, or deeper than it can have rolled. One on its way back in is not."""
+    if robot.out_ns is None:
+        return False
+    slack_m = max(pose.sigma_m, 0.02)
+    if robot.set_out_outside_m > 0.0 and robot.outside_m <= robot.set_out_outside_m + slack_m:
+        return False
+    lasted_s = (pose.t_ns - robot.out_ns) * 1e-9
+    return lasted_s >= OUT_S or robot.outside_m > settings.braking_m + 0.5
 
 
 def _position_fault(robot: Watched, settings: SafetySettings, now_ns: int) -> str:
@@ -310,26 +391,20 @@ def _position_fault(robot: Watched, settings: SafetySettings, now_ns: int) -> st
     return ""
 
 
-def _outside(place: Place | None, pose: Pose, settings: SafetySettings) -> bool:
-    slack_m = 3.0 * max(pose.sigma_m, 0.02)
-    east_m, north_m = place or (0.0, 0.0)
-    return not (
-        -slack_m <= east_m <= settings.size_east_m + slack_m
-        and -slack_m <= north_m <= settings.size_north_m + slack_m
-    )
-
-
 def _stall(robot: Watched, settings: SafetySettings, now_ns: int) -> str:
     """Sent somewhere, and for long not got on: a rover that its own fence has stopped says nothing else."""
-    way = robot.way()
+    segment = robot.segment()
     stood_s = (now_ns - robot.progress_ns) * 1e-9
-    if way is None or stood_s <= settings.stall_s:
+    if segment is None or stood_s <= settings.stall_s:
         return ""
-    return f"it has not moved for {stood_s:.0f} s, {way.length_m:.1f} m before its way-point: stuck?"
+    return f"it has not moved for {stood_s:.0f} s, {segment.length_m:.1f} m before its way-point: stuck?"
 
 
 def low_battery(robot: Watched, settings: SafetySettings) -> str:
     """Why its battery sends it home; empty while there is more than the reserve."""
+    volts = None if robot.vehicle is None else robot.vehicle.battery_v
+    if settings.battery_low_v > 0.0 and volts is not None and volts <= settings.battery_low_v:
+        return f"its battery is at {volts:.1f} V, its limit is {settings.battery_low_v:.1f} V"
     if robot.vehicle is None or robot.vehicle.battery_pct is None:
         return ""
     left_pct, reserve_pct = robot.vehicle.battery_pct, reserve_of(robot, settings)
@@ -339,7 +414,7 @@ def low_battery(robot: Watched, settings: SafetySettings) -> str:
 
 
 def reserve_of(robot: Watched, settings: SafetySettings) -> float:
-    """Battery, in percent, that it must keep here: half as much again as the way home costs, or the least reserve."""
+    """Battery, in percent, that it must keep here: half as much again as the way home costs, or the reserve."""
     here, home = robot.place_m, robot.home_m
-    way_m = 0.0 if here is None or home is None else math.dist(here, home)
-    return max(settings.battery_reserve_pct, 1.5 * way_m * settings.battery_pct_per_m)
+    path_m = 0.0 if here is None or home is None else math.dist(here, home)
+    return max(settings.battery_reserve_pct, 1.5 * path_m * settings.battery_pct_per_m)

@@ -1,22 +1,57 @@
-"""Robots on their way home, in sequence: one sets out when its straight way is clear of all the others. Pure.
+"""Robots on their way home, in sequence, by our own way-points at the mission's speed. Pure.
 
-Vehicles return by their own means and in a straight line; nothing on them keeps them apart. So those whose ways
-come near another robot, standing or driving, wait. Where nobody can set out any more, the operator is asked.
+A robot sets out when its path home is clear of all the others, standing or driving; nothing on the vehicles keeps them
+apart. The path goes round closed ground. The vehicle's own return (which drives at its own speed, straight) is the
+last resort, for one that does not get on by way-points. Where nobody can set out any more, the operator is asked.
 """
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
+from fieldkit.geometry.routes import route
+from fieldkit.geometry.segments import Place, Segment, ever_m, standing
+from fieldkit.messages import CallOperator, Command, GoTo, Hold, Return, Waypoint
+from mission.safety.monitor import SLOW_M_S, SafetySettings, Watched
+from mission.safety.separation import are_layered
 
-from fieldkit.geometry.segments import Way, ever_m, standing
-from fieldkit.messages import CallOperator, Command, Hold, Return
-from mission.safety.monitor import SafetySettings, Watched
-
-SLOW_M_S = 0.1
+SLOWEST_M_S = 0.1
 """The least speed a robot on its way home is taken to make."""
 REPEAT_S = 3.0
+SLACK_S = 60.0
+CORNER_M = 0.5
+"""A corner of the path home counts as passed this near to it."""
+REST_S = 3.0
+"""A robot that has been near home for so long is home, though it still turns."""
+
+
+@dataclass
+class _Trip:
+    """One robot's way home."""
+
+    reason: str
+    path: tuple[Place, ...]
+    until_ns: int
+    """When it should be home at the latest."""
+    told_ns: int
+    leg: int = 0
+    nearest_m: float = math.inf
+    """The least of its way that was ever left."""
+    nearest_ns: int = 0
+    near_ns: int | None = None
+    """Since when it has been near home."""
+    by_itself: bool = False
+    """By the vehicle's own return."""
+
+    @property
+    def goal_m(self) -> Place:
+        return self.path[-1]
+
+    def left_m(self, here: Place) -> float:
+        """What is left of its way."""
+        ahead = (here, *self.path[self.leg :])
+        return sum(math.dist(a, b) for a, b in itertools.pairwise(ahead))
 
 
 @dataclass
@@ -25,11 +60,7 @@ class ReturnSequence:
 
     waiting: dict[str, str] = field(default_factory=dict)
     """Robot to why it goes home, in order."""
-    under_way: dict[str, int] = field(default_factory=dict)
-    """Robot to when it was last told to return, ns."""
-    until: dict[str, int] = field(default_factory=dict)
-    """Robot to when it should be home at the latest, ns."""
-    reasons: dict[str, str] = field(default_factory=dict)
+    under_way: dict[str, _Trip] = field(default_factory=dict)
 
     def ask(self, name: str, reason: str) -> None:
         """It is to go home. Asking twice is harmless."""
@@ -38,84 +69,129 @@ class ReturnSequence:
 
     def forget(self, name: str) -> None:
         """It is not to go home any more."""
-        for table in (self.waiting, self.under_way, self.until, self.reasons):
-            table.pop(name, None)
+        self.waiting.pop(name, None)
+        self.under_way.pop(name, None)
 
     def __contains__(self, name: str) -> bool:
         return name in self.waiting or name in self.under_way
 
+    def segments(self, robots: Mapping[str, Watched], settings: SafetySettings) -> dict[str, Segment]:
+        """What those under way drive now."""
+        return {
+            name: Segment(here, trip.path[trip.leg], settings.max_speed_m_s)
+            for name, trip in self.under_way.items()
+            if (here := robots[name].place_m) is not None
+        }
+
     def step(self, robots: Mapping[str, Watched], settings: SafetySettings, now_ns: int) -> list[Command]:
         """What to tell whom now."""
-        commands = self._watch(robots, settings, now_ns)
-        for name in list(self.waiting):
-            robot = robots[name]
-            if robot.place_m is None or robot.home_m is None or robot.somebody_elses:
-                continue
-            if robot.vehicle is not None and not robot.vehicle.link_up:
-                continue
-            if self._is_clear(robot, robots, settings):
-                reason = self.waiting.pop(name)
-                self.under_way[name] = now_ns
-                self.until[name] = now_ns + round(1e9 * (60.0 + home_way(robot).length_m / SLOW_M_S))
-                self.reasons[name] = reason
-                commands.append(Return(now_ns, name, reason))
-        if self.waiting and not self.under_way:
-            commands += self._give_up(robots, settings, now_ns)
-        return commands
-
-    def _watch(self, robots: Mapping[str, Watched], settings: SafetySettings, now_ns: int) -> list[Command]:
-        """Those under way: home, still going, or not getting there."""
         commands: list[Command] = []
         for name in list(self.under_way):
-            robot, reason = robots[name], self.reasons[name]
-            if is_home(robot, settings):
-                self.forget(name)
-                commands.append(Hold(now_ns, name, f"it is home: {reason}"))
-            elif now_ns > self.until[name]:
-                self.forget(name)
-                commands.append(Hold(now_ns, name, f"it was sent home ({reason}) and did not get there"))
-                commands.append(CallOperator(now_ns, name, f"it did not get home: {reason}"))
-            elif robot.somebody_elses:
-                self.forget(name)
-            elif robot.too_near:
-                self.forget(name)
-                self.waiting[name] = reason
-                commands.append(
-                    Hold(now_ns, name, "it is too near another robot; it goes on home when it can")
-                )
-            elif _should_be_told_again(robot) and (now_ns - self.under_way[name]) * 1e-9 > REPEAT_S:
-                self.under_way[name] = now_ns
-                commands.append(Return(now_ns, name, reason))
+            commands += self._go_on(robots[name], settings, now_ns)
+        for name in list(self.waiting):
+            robot = robots[name]
+            here = robot.place_m
+            if here is None or robot.home_m is None or robot.somebody_elses or not _is_heard(robot):
+                continue
+            path = _path_home(robot, settings)
+            if path and self._is_clear(robot, path, robots, settings):
+                length_m = sum(math.dist(a, b) for a, b in zip((here, *path), path, strict=False))
+                until_ns = now_ns + round(1e9 * (SLACK_S + length_m / SLOWEST_M_S))
+                trip = _Trip(self.waiting.pop(name), path, until_ns, now_ns, nearest_ns=now_ns)
+                self.under_way[name] = trip
+                commands.append(_tell(robot, trip, settings, now_ns))
+        if self.waiting and not self.under_way:
+            commands += self._give_up(robots, now_ns)
         return commands
 
-    def _is_clear(self, robot: Watched, robots: Mapping[str, Watched], settings: SafetySettings) -> bool:
-        mine = home_way(robot)
-        if settings.keep_out.blocks(np.array([mine.start_m]), np.array([mine.end_m]))[0]:
+    def _go_on(self, robot: Watched, settings: SafetySettings, now_ns: int) -> list[Command]:
+        """One that is under way: home, on to the next corner, still going, or not getting there."""
+        name, trip, here = robot.name, self.under_way[robot.name], robot.place_m
+        if here is None:
+            return []
+        if self._is_home(robot, trip, settings, now_ns):
+            self.forget(name)
+            return [Hold(now_ns, name, f"it is home: {trip.reason}")]
+        if now_ns > trip.until_ns:
+            self.forget(name)
+            return [
+                Hold(now_ns, name, f"it was sent home ({trip.reason}) and did not get there"),
+                CallOperator(now_ns, name, f"it did not get home: {trip.reason}"),
+            ]
+        if robot.somebody_elses:
+            self.forget(name)
+            return []
+        if robot.too_near:
+            self.forget(name)
+            self.waiting[name] = trip.reason
+            return [Hold(now_ns, name, "it is too near another robot; it goes on home when it can")]
+        while trip.leg < len(trip.path) - 1 and math.dist(here, trip.path[trip.leg]) <= CORNER_M:
+            trip.leg, trip.told_ns = trip.leg + 1, 0
+        if (left_m := trip.left_m(here)) < trip.nearest_m - 0.1:
+            trip.nearest_m, trip.nearest_ns = left_m, now_ns
+        if not trip.by_itself and (now_ns - trip.nearest_ns) * 1e-9 > settings.stall_s:
+            return self._last_resort(robot, trip, settings, now_ns)
+        if trip.told_ns == 0 or (_goes_elsewhere(robot, trip) and (now_ns - trip.told_ns) * 1e-9 > REPEAT_S):
+            trip.told_ns = now_ns
+            return [_tell(robot, trip, settings, now_ns)]
+        return []
+
+    def _last_resort(
+        self, robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int
+    ) -> list[Command]:
+        """It does not get on by way-points: its own return, where a straight line home is open; else the operator."""
+        here = robot.place_m
+        if here is not None and settings.bounds.permits(here, trip.goal_m):
+            trip.by_itself, trip.told_ns = True, now_ns
+            return [_tell(robot, trip, settings, now_ns)]
+        self.forget(robot.name)
+        return [CallOperator(now_ns, robot.name, f"it does not get on on its way home: {trip.reason}")]
+
+    def _is_home(self, robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int) -> bool:
+        """Near where it started, and come to rest: one told to hold while it still drives would roll past."""
+        here = robot.place_m
+        near_m = max(0.3, settings.near_m)
+        if here is None or trip.leg < len(trip.path) - 1 or math.dist(here, trip.goal_m) > near_m:
+            trip.near_ns = None
             return False
+        if trip.near_ns is None:
+            trip.near_ns = now_ns
+        rests = math.hypot(*robot.velocity_m_s) <= SLOW_M_S
+        return rests or (now_ns - trip.near_ns) * 1e-9 >= REST_S
+
+    def _is_clear(
+        self,
+        robot: Watched,
+        path: tuple[Place, ...],
+        robots: Mapping[str, Watched],
+        settings: SafetySettings,
+    ) -> bool:
+        here = robot.place_m or (0.0, 0.0)
+        mine = [Segment(a, b, settings.max_speed_m_s) for a, b in zip((here, *path), path, strict=False)]
         for other in robots.values():
-            if other is robot or other.place_m is None:
+            if other is robot or other.place_m is None or are_layered(robot, other, settings):
                 continue
-            if other.name in self.under_way:
-                its = home_way(other)
+            trip = self.under_way.get(other.name)
+            if trip is not None:
+                ahead = (other.place_m, *trip.path[trip.leg :])
+                theirs = [Segment(a, b) for a, b in itertools.pairwise(ahead)]
             else:
-                its = other.unseen(settings) or other.way() or standing(other.place_m)
-            # Side by side is where robots start: only a way that comes nearer than now is in the way.
-            now_m = math.dist(mine.start_m, its.start_m)
-            if ever_m(mine, its) < min(settings.near_m * 1.2, now_m - 0.01):
+                theirs = [other.unseen(settings) or other.segment() or standing(other.place_m)]
+            # Side by side is where robots start: only a path that comes nearer than now is in the way.
+            limit_m = min(settings.near_m * 1.2, math.dist(here, other.place_m) - 0.01)
+            if any(ever_m(one, two) < limit_m for one in mine for two in theirs):
                 return False
         return True
 
-    def _give_up(self, robots: Mapping[str, Watched], settings: SafetySettings, now_ns: int) -> list[Command]:
+    def _give_up(self, robots: Mapping[str, Watched], now_ns: int) -> list[Command]:
         """Nobody is under way and nobody can set out: those that could be told to go stay, and somebody is asked."""
-        stuck = [name for name in self.waiting if robots[name].place_m is not None and robots[name].home_m]
         commands: list[Command] = []
-        for name in stuck:
-            reason = self.waiting[name]
+        for name, reason in list(self.waiting.items()):
             robot = robots[name]
-            if robot.somebody_elses or (robot.vehicle is not None and not robot.vehicle.link_up):
+            if robot.place_m is None or robot.home_m is None or robot.somebody_elses or not _is_heard(robot):
                 continue
             if any(other.moving for other in robots.values()):
-                continue  # its way may come free
+                continue  # its path may come free
             del self.waiting[name]
             commands.append(
                 CallOperator(now_ns, name, f"its way home is blocked; it stays where it is: {reason}")
@@ -123,16 +199,28 @@ class ReturnSequence:
         return commands
 
 
-def home_way(robot: Watched) -> Way:
-    """Straight home from where it is."""
-    here = robot.place_m or (0.0, 0.0)
-    return Way(here, robot.home_m or here, 1.0)
+def _path_home(robot: Watched, settings: SafetySettings) -> tuple[Place, ...]:
+    """Corners of the way home, as near to where it started as margins allow; empty where there is none."""
+    here, home = robot.place_m, robot.home_m
+    if here is None or home is None:
+        return ()
+    return route(settings.margins, here, settings.margins.nearest_open(home))
 
 
-def is_home(robot: Watched, settings: SafetySettings) -> bool:
-    """Within half a separation of where it started."""
-    return robot.place_m is not None and home_way(robot).length_m <= max(0.3, settings.near_m)
+def _tell(robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int) -> Command:
+    if trip.by_itself:
+        return Return(now_ns, robot.name, f"{trip.reason}; it did not get on by way-points")
+    east_m, north_m = trip.path[trip.leg]
+    up_m = settings.altitude_m.get(robot.name, 0.0)
+    return GoTo(now_ns, robot.name, Waypoint(east_m, north_m, settings.max_speed_m_s, up_m))
 
 
-def _should_be_told_again(robot: Watched) -> bool:
-    return robot.vehicle is not None and robot.vehicle.link_up and robot.vehicle.mode != "return"
+def _is_heard(robot: Watched) -> bool:
+    return robot.vehicle is None or robot.vehicle.link_up
+
+
+def _goes_elsewhere(robot: Watched, trip: _Trip) -> bool:
+    """Its vehicle says that it does something else than it was told."""
+    if robot.vehicle is None or not robot.vehicle.link_up:
+        return False
+    return robot.vehicle.mode != ("return" if trip.by_itself else "guided")

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from fieldkit.checks import Check, Level
 from fieldkit.errors import DeviceError
-from fieldkit.geometry.segments import margin_m
+from fieldkit.geometry.polygons import margin_m
 from fieldkit.messages import Pose, ReceiverState, RssReading
 from fieldkit.ports import PositionSource, Receiver, VehicleLink
 from mission.core.mission_file import Mission

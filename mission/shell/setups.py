@@ -19,7 +19,8 @@ from fieldkit.channel.model import Antenna
 from fieldkit.clock import Clock, RealClock, ScaledClock
 from fieldkit.ports import PositionSource, Receiver, Surroundings, VehicleLink
 from fieldkit.world.sources import TransientSource
-from mission.core.mission_file import Mission, RobotTable
+from mission.core.mission_file import Mission
+from mission.core.tables import RobotTable
 
 
 class RawTap:

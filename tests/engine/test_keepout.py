@@ -84,5 +84,5 @@ def test_safety_holds_a_robot_whose_way_is_blocked() -> None:
     safety = Safety(SafetySettings(("a",), 10.0, 10.0, keep_out=SQUARE))
     safety.observe(Pose(0, "a", 1.0, 4.0))
     held = safety.allow(GoTo(0, "a", Waypoint(8.0, 4.0, 0.3)))
-    assert isinstance(held, Hold) and "keep out" in held.reason
+    assert isinstance(held, Hold) and "closed ground" in held.reason
     assert isinstance(safety.allow(GoTo(0, "a", Waypoint(1.0, 8.0, 0.3))), GoTo)

@@ -17,7 +17,6 @@ from fieldkit.engine.planning.detour import CLEARANCE_M, MOST_CELLS, Detours
 from fieldkit.engine.planning.dprwa import DprwaPlanner
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.geometry.polygons import KeepOut, Polygon
-from fieldkit.geometry.segments import outside
 from fieldkit.messages import Plan
 from mission.lab.bench import settings
 
@@ -115,7 +114,7 @@ def test_a_fence_polygon_is_kept_by_every_planner() -> None:
         (9.0, 24.0),
         (1.0, 24.0),
     )
-    engine = replace(settings(pairs=1), keep_out=KeepOut((outside(fence),)))
+    engine = replace(settings(pairs=1), keep_out=KeepOut(fence=fence))
     place = {"r0": (4.0, 20.0), "r1": (5.5, 20.0)}
     for planner in OTHERS:
         walk = plugins.load("fieldkit.planners", planner)(engine)
@@ -126,14 +125,17 @@ def test_a_fence_polygon_is_kept_by_every_planner() -> None:
 
 
 @pytest.mark.parametrize("planner", OTHERS)
-def test_a_robot_shut_in_stays_and_its_partner_goes(planner: str) -> None:
+def test_a_robot_on_closed_ground_leaves_it_first_and_its_partner_goes(planner: str) -> None:
     """As when an area is closed over the place where a robot stands."""
     box = KeepOut((((3.0, 2.0), (5.0, 2.0), (5.0, 4.0), (3.0, 4.0)),))
     engine = replace(settings(pairs=1), keep_out=box)
     place = {"r0": (4.0, 3.0), "r1": (8.0, 3.0)}
     walk = plugins.load("fieldkit.planners", planner)(engine)
     plan = walk.plan(Situation(0, place, engine.teams, {}), belief(engine, np.random.default_rng(2)))
-    assert plan.paths["r0"] == ()
+    first, *onward = [(w.east_m, w.north_m) for w in plan.paths["r0"]]
+    assert first == pytest.approx((4.0, 2.0), abs=1e-5), "by the shortest way"
+    corners = np.array([first, *onward])
+    assert not box.blocks(corners[:-1], corners[1:]).any()
     assert plan.paths["r1"] != ()
 
 

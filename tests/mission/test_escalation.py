@@ -5,7 +5,6 @@ import math
 import pytest
 
 from fieldkit.geometry.polygons import KeepOut
-from fieldkit.geometry.segments import outside
 from fieldkit.messages import (
     CallOperator,
     Command,
@@ -80,6 +79,15 @@ class Field:
         self.carry_out(judged)
         return judged
 
+    def homeward(self, robot: str) -> int:
+        """How often it was sent to the place where it was first seen."""
+        return sum(
+            isinstance(c, GoTo)
+            and c.robot == robot
+            and math.dist((c.waypoint.east_m, c.waypoint.north_m), self.home[robot]) < 1e-3
+            for c in self.log
+        )
+
     def said(self, kind: type, robot: str) -> list[str]:
         return [c.reason for c in self.log if isinstance(c, kind) and c.robot == robot]  # type: ignore[attr-defined]
 
@@ -88,7 +96,7 @@ def _fields(settings: SafetySettings) -> dict[str, object]:
     return {name: getattr(settings, name) for name in SafetySettings.__dataclass_fields__}
 
 
-# Ways
+# Segments
 
 
 def test_a_way_into_anothers_is_held_and_the_first_named_goes() -> None:
@@ -212,10 +220,21 @@ def test_a_way_past_a_standing_robot_is_held_but_one_away_from_it_is_not() -> No
 
 
 def test_nothing_is_sent_out_of_a_fence_polygon() -> None:
-    field = Field(keep_out=KeepOut((outside(((0.0, 0.0), (20.0, 0.0), (0.0, 20.0))),)))
+    field = Field(keep_out=KeepOut(fence=((0.0, 0.0), (20.0, 0.0), (0.0, 20.0))))
     assert isinstance(field.send(("a", 5.0, 5.0))[0], GoTo)
-    held = field.send(("b", 15.0, 15.0))[0]
-    assert isinstance(held, Hold) and "keep out" in held.reason
+    drawn_back = field.send(("b", 15.0, 15.0))[0]
+    assert isinstance(drawn_back, GoTo)
+    place = (drawn_back.waypoint.east_m, drawn_back.waypoint.north_m)
+    assert field.safety.settings.margins.clearance_m(place) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_path_across_the_notch_of_a_fence_is_held() -> None:
+    notched = ((0.0, 0.0), (20.0, 0.0), (20.0, 8.0), (8.0, 8.0), (8.0, 20.0), (0.0, 20.0))
+    field = Field(keep_out=KeepOut(fence=notched))
+    field.at["a"] = (2.0, 18.0)
+    field.tick(5)
+    held = field.send(("a", 18.0, 2.0))[0]
+    assert isinstance(held, Hold) and "out of the fence" in held.reason
 
 
 def test_an_excluded_area_is_closed_from_then_on() -> None:
@@ -321,9 +340,9 @@ def test_a_silent_radio_holds_then_goes_home() -> None:
     field.tick(9)
     assert not field.said(Hold, "a")
     field.tick(4)
-    assert "radio" in field.said(Hold, "a")[0] and not field.said(Return, "a")
+    assert "radio" in field.said(Hold, "a")[0] and not field.homeward("a")
     field.tick(140)
-    assert len(field.said(Return, "a")) == 1 and "it is home" in field.said(Hold, "a")[-1]
+    assert field.homeward("a") == 1 and "it is home" in field.said(Hold, "a")[-1]
     assert math.dist(field.at["a"], field.home["a"]) < 0.6
 
 
@@ -339,7 +358,7 @@ def test_a_short_trouble_within_a_long_one_does_not_call_for_help() -> None:
     field.tick(20)
     assert not field.said(CallOperator, "a"), "its position was old for three seconds, not for a minute"
     field.tick(60)
-    assert len(field.said(Return, "a")) == 1, "and its radio was down all the time"
+    assert field.homeward("a") == 1, "and its radio was down all the time"
 
 
 def test_a_radio_that_comes_back_soon_changes_nothing() -> None:
@@ -362,7 +381,7 @@ def test_the_reserve_grows_with_the_way_home(pct: float, per_m: float, goes: boo
     field.tick(30)
     field.battery["a"] = pct
     field.tick(2)
-    assert bool(field.said(Return, "a")) == goes
+    assert bool(field.homeward("a")) == goes
     field.tick(40)
     assert bool(field.said(CallOperator, "a")) == goes
     if goes:
@@ -382,7 +401,8 @@ def test_robots_return_one_after_the_other_where_their_ways_cross() -> None:
     for _ in range(120):
         field.tick()
         closest = min(closest, math.dist(*field.at.values()))
-    assert [c.robot for c in field.log if isinstance(c, Return)] == ["a", "b"]
+    assert [c.robot for c in field.log if isinstance(c, GoTo)] == ["a", "b"]
+    assert not field.said(Return, "a")
     assert closest > 0.5
     assert all(math.dist(field.at[name], field.home[name]) < 0.6 for name in "ab")
 
@@ -392,7 +412,7 @@ def test_robots_with_clear_ways_return_together() -> None:
     field.send(("a", 2.0, 10.0), ("b", 6.0, 10.0))
     field.tick(30)
     field.ask("return")
-    assert {c.robot for c in field.log if isinstance(c, Return)} == {"a", "b"}
+    assert (field.homeward("a"), field.homeward("b")) == (1, 1)
 
 
 def test_a_blocked_way_home_is_the_operators_business() -> None:
@@ -403,7 +423,7 @@ def test_a_blocked_way_home_is_the_operators_business() -> None:
     field.tick(5)
     field.ask("return", "a")
     field.tick(10)
-    assert not field.said(Return, "a")
+    assert not field.homeward("a")
     assert any("blocked" in reason for reason in field.said(CallOperator, "a"))
 
 
@@ -416,8 +436,22 @@ def test_a_return_that_is_not_obeyed_is_asked_again_and_reported() -> None:
     for _ in range(200):
         field.mode["a"] = "hold"
         field.tick()
-    assert len(field.said(Return, "a")) > 10
+    assert field.homeward("a") > 3, "by way-points first"
+    assert len(field.said(Return, "a")) > 10, "by its own return, as the last resort"
     assert any("did not get home" in reason for reason in field.said(CallOperator, "a"))
+
+
+def test_the_way_home_leads_round_closed_ground() -> None:
+    field = Field(keep_out=KeepOut((((0.0, 5.0), (8.0, 5.0), (8.0, 7.0), (0.0, 7.0)),)))
+    field.at["a"] = (2.0, 12.0)
+    field.tick(4)
+    field.ask("return", "a")
+    closed = field.safety.settings.bounds
+    for _ in range(120):
+        field.tick()
+        assert closed.clearance_m(field.at["a"]) >= 0.0
+    assert math.dist(field.at["a"], field.home["a"]) < 0.6
+    assert not field.said(CallOperator, "a")
 
 
 def test_resume_ends_a_return() -> None:
@@ -428,7 +462,7 @@ def test_resume_ends_a_return() -> None:
     field.ask("resume", "a")
     field.log.clear()
     field.tick(20)
-    assert not field.said(Return, "a")
+    assert not field.homeward("a")
     assert isinstance(field.send(("a", 2.0, 12.0))[0], GoTo)
 
 

@@ -82,10 +82,92 @@ def test_a_moving_robot_outside_the_fence_is_held() -> None:
     safety.allow(goto(3.0, 4.0))
     safety.observe(Pose(4 * S, "a", 2.0, 4.5))
     safety.observe(Pose(8 * S, "a", 2.0, 8.2))
-    safety.observe(Pose(8 * S, "b", 6.0, 2.0))
-    hold, call = safety.observe(Tick(8 * S))
+    for robot in ("a", "b"):
+        safety.observe(Pose(8 * S, robot, 2.0 if robot == "a" else 6.0, 8.2 if robot == "a" else 2.0))
+    assert safety.observe(Tick(8 * S)) == [], "one position may be wrong"
+    safety.observe(Pose(10 * S, "a", 2.0, 8.2))
+    safety.observe(Pose(10 * S, "b", 6.0, 2.0))
+    (hold,) = safety.observe(Tick(10 * S))
     assert isinstance(hold, Hold) and "outside the fence" in hold.reason
-    assert isinstance(call, CallOperator) and call.robot == "a"
+
+
+def test_a_robot_deep_outside_is_held_at_once() -> None:
+    safety = ready()
+    safety.allow(goto(3.0, 7.0))
+    safety.observe(Pose(4 * S, "a", 2.0, 5.0))
+    safety.observe(Pose(8 * S, "a", 2.0, 8.7))
+    safety.observe(Pose(8 * S, "b", 6.0, 2.0))
+    (hold,) = safety.observe(Tick(8 * S))
+    assert isinstance(hold, Hold) and "outside the fence" in hold.reason
+
+
+def test_noise_across_the_fence_holds_nobody() -> None:
+    safety = ready()
+    safety.allow(goto(2.0, 7.5))
+    for step in range(60):
+        north = 7.95 + 0.3 * (-1) ** step
+        safety.observe(Pose(step * S, "a", 2.0, north, sigma_m=0.3))
+        safety.observe(Pose(step * S, "b", 6.0, 2.0))
+        assert not [c for c in safety.observe(Tick(step * S)) if isinstance(c, Hold) and "fence" in c.reason]
+
+
+@pytest.mark.parametrize("north", [8.05, 8.5, 11.0])
+def test_a_way_back_in_is_always_allowed(north: float) -> None:
+    safety = ready()
+    safety.observe(Pose(60 * S, "a", 2.0, north))
+    safety.observe(Pose(70 * S, "a", 2.0, north))
+    back = safety.allow(goto(2.0, 6.0, t_ns=70 * S))
+    assert isinstance(back, GoTo)
+    for second in range(71, 80):  # it drives in, and nobody stops it
+        north -= 0.3
+        safety.observe(Pose(second * S, "a", 2.0, north))
+        safety.observe(Pose(second * S, "b", 6.0, 2.0))
+        assert safety.observe(Tick(second * S)) == []
+
+
+def test_a_way_back_that_leads_deeper_is_none() -> None:
+    safety = ready()
+    safety.observe(Pose(60 * S, "a", 2.0, 8.6))
+    safety.observe(Pose(70 * S, "a", 2.0, 8.6))
+    assert isinstance(safety.allow(goto(2.0, 6.0, t_ns=70 * S)), GoTo)
+    assert safety.settings.margins.permits((2.0, 8.6), (2.0, 6.0))
+    assert not safety.settings.margins.permits((2.0, 8.6), (4.0, 9.5))
+
+
+def test_a_robot_faster_than_told_is_held_with_its_speed() -> None:
+    safety = ready()
+    safety.allow(goto(9.0, 7.0))
+    said: list[str] = []
+    for second in range(1, 12):
+        safety.observe(Pose(second * S, "a", 2.0 + 0.9 * second, 2.0))
+        safety.observe(Pose(second * S, "b", 6.0, 7.0))
+        said += [c.reason for c in safety.observe(Tick(second * S)) if isinstance(c, Hold)]
+    assert any("m/s where the limit is 0.4" in reason for reason in said)
+
+
+def test_a_sinking_voltage_sends_home_where_per_cent_say_nothing() -> None:
+    safety = Safety(SafetySettings(("a",), 10.0, 8.0, battery_low_v=10.5))
+    safety.observe(Pose(0, "a", 2.0, 2.0))
+    safety.observe(Pose(60 * S, "a", 5.0, 5.0))
+    safety.observe(VehicleState(60 * S, "a", "guided", True, True, 98.0, battery_v=10.4))
+    commands = safety.observe(Tick(60 * S))
+    assert any(isinstance(c, CallOperator) and "10.4 V" in c.reason for c in commands)
+    assert any(isinstance(c, GoTo) for c in commands)
+
+
+def test_a_robot_that_is_being_acquired_anew_is_not_thrown_out_for_its_old_mode() -> None:
+    safety = ready()
+    safety.allow(goto(3.0, 4.0))
+    safety.observe(VehicleState(S, "a", "other", True, reason="its mode is MANUAL"))
+    (call,) = safety.observe(Tick(S))
+    assert isinstance(call, CallOperator) and call.reason.endswith("its mode is MANUAL")
+    safety.observe(Operator(2 * S, "resume"))
+    for robot, east in (("a", 2.0), ("b", 6.0)):
+        safety.observe(Pose(3 * S, robot, east, 2.0))
+    assert safety.observe(Tick(3 * S)) == [], "its acquisition takes round trips"
+    for robot, east in (("a", 2.0), ("b", 6.0)):
+        safety.observe(Pose(14 * S, robot, east, 2.0))
+    assert [c.robot for c in safety.observe(Tick(14 * S)) if isinstance(c, CallOperator)] == ["a"]
 
 
 def test_of_two_robots_too_near_the_later_named_one_holds() -> None:
@@ -113,8 +195,10 @@ def test_return_is_ordered_once_and_not_undone_by_holds() -> None:
         safety.observe(Pose(60 * S, robot, east, 6.0))
     commands = safety.observe(Operator(60 * S, "return"))
     assert {c.robot for c in commands if isinstance(c, Hold)} == {"a", "b"}, "all stop first"
-    assert {c.robot for c in commands if isinstance(c, Return)} == {"a", "b"}, "their ways are far apart"
-    safety.observe(VehicleState(60 * S, "a", "return", True))
+    assert {c.robot for c in commands if isinstance(c, GoTo)} == {"a", "b"}, "their paths are far apart"
+    assert not any(isinstance(c, Return) for c in commands), "by our own way-points, at the mission's speed"
+    assert all(c.waypoint.speed_m_s == 0.4 for c in commands if isinstance(c, GoTo))
+    safety.observe(VehicleState(60 * S, "a", "guided", True))
     assert [c for c in safety.observe(Tick(62 * S)) if c.robot == "a"] == []
 
 

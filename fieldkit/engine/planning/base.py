@@ -29,6 +29,8 @@ class Situation:
     """How far a robot can still drive, the way home included; robots not named can go anywhere."""
     home_m: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Where those robots have to come back to."""
+    removed: frozenset[int] = frozenset()
+    """Sources that were taken away: nobody is sent to look at them."""
 
 
 class Planner(Protocol):

@@ -34,10 +34,14 @@ class Detours:
 
     def way(self, start_m: FloatArray, end_m: FloatArray) -> FloatArray | None:
         """(k, 2) corners from `start_m` (left out) to `end_m`; None where no way leads there."""
-        if not self.keep_out.polygons:
+        if not self.keep_out.needs_detours:
             return end_m[None].copy()
         if self.keep_out.contains(end_m[None])[0]:
             return None
+        if self.keep_out.contains(start_m[None])[0]:  # out of it first, and then on
+            out_m = np.array(self.keep_out.nearest_open((float(start_m[0]), float(start_m[1]))))
+            onward = None if self.keep_out.contains(out_m[None])[0] else self.way(out_m, end_m)
+            return None if onward is None else np.concatenate([out_m[None], onward])
         for clearance_m in (CLEARANCE_M, 0.0):  # the second where it is too narrow for the first
             if self._open(start_m[None], end_m[None], clearance_m)[0]:
                 return end_m[None].copy()
@@ -51,7 +55,7 @@ class Detours:
         A robot with fewer corners than the others waits at its last; one that cannot reach its place stays where it
         is; a leg on which nobody can move is left out.
         """
-        if not self.keep_out.polygons:
+        if not self.keep_out.needs_detours:
             return places_m
         here, legs = start_m, []
         for place in places_m:
@@ -71,7 +75,7 @@ class Detours:
 
         Between two places it goes evenly. Places that cannot be reached are left out.
         """
-        if not self.keep_out.polygons:
+        if not self.keep_out.needs_detours:
             return t_s, places_m
         times, places = [t_s[:1]], [places_m[:1]]
         for moment, place in zip(t_s[1:], places_m[1:], strict=True):

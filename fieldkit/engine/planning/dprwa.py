@@ -153,7 +153,7 @@ class DprwaPlanner:
         Corners that cannot be reached are left out, with what their legs weigh; where that leaves no ring, nothing is.
         """
         free = np.flatnonzero(~self.settings.keep_out.contains(corners_m))
-        if not self.settings.keep_out.polygons or len(free) == 0:
+        if not self.settings.keep_out.needs_detours or len(free) == 0:
             return corners_m, weight
         last = free[0]
         places, weights = [corners_m[last]], []

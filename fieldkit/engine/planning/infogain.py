@@ -73,7 +73,7 @@ class InfoGainPlanner:
         if not isinstance(belief, IntensityBelief):
             raise ConfigError("planner 'infogain' needs belief 'intensity'; choose 'prwa' for other beliefs")
         horizon_s = max(HORIZON_S, 1.5 * self.settings.planning_period_s)
-        ledger = self._ledger(belief)
+        ledger = self._ledger(belief, situation.removed)
         for team, busy in situation.busy.items():
             if all(robot in situation.position_m for robot in team):
                 ledger.take(self._underway(team, busy, situation, horizon_s))
@@ -98,9 +98,9 @@ class InfoGainPlanner:
                 paths[robot], purpose[robot] = path, options.purpose[best]
         return Plan(situation.t_ns, paths, purpose)
 
-    def _ledger(self, belief: IntensityBelief) -> Ledger:
+    def _ledger(self, belief: IntensityBelief, removed: frozenset[int]) -> Ledger:
         value = blocks_summed(GROUND_VALUE * belief.ground_value(), self._block)
-        unresolved = belief.unresolved(SAMPLES, self._rng)
+        unresolved = [each for each in belief.unresolved(SAMPLES, self._rng) if each.ident not in removed]
         return Ledger(self.settings, belief.model, value, self._block * self.grid.cell_m, unresolved)
 
     def _underway(
@@ -229,7 +229,7 @@ class InfoGainPlanner:
             for index, count in enumerate(legs):
                 legs[index] = legs_within_range(places[index, :count], start, range_m, home_m)
         can = legs > 0
-        if s.keep_out.polygons:
+        if s.keep_out.needs_detours:
             can &= [not self._blocked(start, places[i, :count]) for i, count in enumerate(legs)]
         places, legs = places[can], legs[can]
         tracks = np.empty((len(legs), n_steps(horizon_s), len(team), 2))
@@ -240,9 +240,12 @@ class InfoGainPlanner:
 
     def _blocked(self, start: FloatArray, places: FloatArray) -> bool:
         """Whether a robot's way from `start` (m, 2) over places (legs, m, 2) crosses ground to be kept out of."""
-        corners = np.concatenate([start[None], places])
-        before, after = corners[:-1].reshape(-1, 2), corners[1:].reshape(-1, 2)
-        return bool(self.settings.keep_out.blocks(before, after).any())
+        keep_out = self.settings.keep_out
+        before, after = places[:-1].reshape(-1, 2), places[1:].reshape(-1, 2)
+        first = zip(start.tolist(), places[0].tolist(), strict=True)
+        return bool(keep_out.blocks(before, after).any()) or not all(
+            keep_out.permits((a[0], a[1]), (b[0], b[1])) for a, b in first
+        )
 
 
 def blocks_summed(value: FloatArray, block: int) -> FloatArray:

@@ -29,7 +29,7 @@ class Steering:
         places = self.detours.ways(places, start_m)
         moves = (places != start_m).any(axis=(0, 2))
         paths = waypoints(places, start_m, settings.max_speed_m_s)
-        if not settings.keep_out.polygons:
+        if not settings.keep_out.needs_detours:
             return dict(zip(team, paths, strict=True))
         return {robot: path if goes else () for robot, path, goes in zip(team, paths, moves, strict=True)}
 

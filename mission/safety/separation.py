@@ -1,0 +1,175 @@
+"""How near robots come to each other: on new segments before they are given, and while they drive. Pure.
+
+A robot may still be doing what it was told before: its occupancy holds all that is possible. One whose position is
+old may be anywhere on what it can have driven since. Robots that fly one above the other do not meet.
+"""
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+
+from fieldkit.geometry.segments import (
+    Place,
+    Segment,
+    ever_m,
+    keep_apart_m,
+    leaves,
+    nearest_m,
+    standing,
+)
+from mission.safety.monitor import SafetySettings, Watched
+
+STARTS_S = 4.0
+"""How much later than another a robot may set out: it turns on the spot first, or its order is sent again."""
+AT_ONCE = ((0.0, 0.0),)
+_DELAYS_S = [STARTS_S * k / 5 for k in range(1, 6)]
+LATE_STARTS = (*AT_ONCE, *((late_s, 0.0) for late_s in _DELAYS_S), *((0.0, late_s) for late_s in _DELAYS_S))
+SLACK_M = 1e-6
+"""More than rounding: what a quick look finds this much too far apart is so by a closer one too."""
+SOON_S = 4.0
+"""How far ahead robots under way are watched: time to tell one to stop over a poor link."""
+ALOFT_SHARE = 0.7
+"""Robots keep their layers to within this share of the vertical separation: a gust is not a descent."""
+
+
+@dataclass(frozen=True, slots=True)
+class Occupancy:
+    """All that a robot may be doing, and where it may be if its position is old."""
+
+    robot: Watched
+    segments: tuple[Segment, ...]
+    somewhere: Segment | None
+
+
+def occupancies(robots: Mapping[str, Watched], settings: SafetySettings) -> dict[str, Occupancy]:
+    """Every robot's, before new segments are given."""
+    return {
+        name: Occupancy(robot, robot.segments(), robot.unseen(settings)) for name, robot in robots.items()
+    }
+
+
+def conflict(
+    robot: Watched,
+    segment: Segment,
+    new: Mapping[str, Segment],
+    occupied: Mapping[str, Occupancy],
+    undecided: Collection[str],
+    settings: SafetySettings,
+) -> str:
+    """Which robot `segment` comes too near, at any start of the two; empty where it keeps clear of all.
+
+    `new` are segments given together with it. Those of `undecided` robots come later, and their old ones are void.
+    """
+    limit_m = 1.2 * settings.near_m
+    for name, occupancy in occupied.items():
+        if name == robot.name or name in undecided or are_layered(robot, occupancy.robot, settings):
+            continue
+        if occupancy.somewhere is not None:
+            nearest = ever_m(segment, occupancy.somewhere)
+            if nearest < limit_m and not leaves(segment, occupancy.somewhere, limit_m):
+                return f"its path comes within {nearest:.2f} m of where {name} may be"
+            continue
+        given = new.get(name)
+        for other in occupancy.segments if given is None else (given,):
+            if keep_apart_m(segment, other) >= limit_m:
+                continue
+            least_m = min(limit_m, math.dist(segment.start_m, other.start_m) - 0.01)
+            if ever_m(segment, other) > least_m + SLACK_M:
+                continue  # they keep clear whenever they start
+            nearest = min(nearest_m(segment, other, a, b) for a, b in _starts(other))
+            if nearest < least_m:
+                return f"its path comes within {nearest:.2f} m of {name}"
+    return ""
+
+
+def are_layered(one: Watched, other: Watched, settings: SafetySettings) -> bool:
+    """Whether two robots fly so far above each other, by their layers and as they are now, that they cannot meet."""
+    gap_m = settings.vertical_separation_m
+    layers = settings.altitude_m.get(one.name, 0.0) - settings.altitude_m.get(other.name, 0.0)
+    if abs(layers) < gap_m or one.pose is None or other.pose is None:
+        return False
+    return abs(one.pose.up_m - other.pose.up_m) >= ALOFT_SHARE * gap_m
+
+
+def mark_too_near(
+    robots: Mapping[str, Watched], homeward: Mapping[str, Segment], settings: SafetySettings
+) -> None:
+    """Set `too_near` on those that are, or will be if both go on: of two the later-named, where that helps.
+
+    `homeward` are the segments of robots on their way home.
+    """
+    limit = settings.near_m
+    before = {name: robot.too_near for name, robot in robots.items()}
+    for robot in robots.values():
+        robot.too_near = False
+    drives = {name for name, robot in robots.items() if robot.moving or name in homeward}
+    near = [moment for robot in robots.values() if (moment := _moment(robot, homeward, settings)) is not None]
+    for later, mine in enumerate(near):
+        for other in near[:later]:
+            gap_m = math.dist(mine.place_m, other.place_m)
+            if gap_m - mine.reach_m - other.reach_m > 1.2 * limit + SLACK_M:
+                continue  # most pairs, told at once: the rest costs fifty times as much
+            if are_layered(mine.robot, other.robot, settings):
+                continue
+            if gap_m < (1.2 * limit if before[mine.robot.name] else limit):
+                if nearest_m(other.soon, mine.soon) < gap_m - 0.01:
+                    (mine if mine.robot.name in drives else other).robot.too_near = True
+            elif (yields := _must_yield(other, mine, drives, settings)) is not None:
+                yields.too_near = True
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """A robot whose place is known, now and in the next moments."""
+
+    robot: Watched
+    place_m: Place
+    soon: Segment
+    somewhere: Segment | None
+    """Where it may be, if its position is old."""
+    reach_m: float = field(init=False)
+    """How far from its place any of that leads."""
+
+    def __post_init__(self) -> None:
+        unseen_m = 0.0 if self.somewhere is None else self.somewhere.length_m
+        object.__setattr__(self, "reach_m", max(self.soon.length_m, unseen_m))
+
+
+def _moment(robot: Watched, homeward: Mapping[str, Segment], settings: SafetySettings) -> _Moment | None:
+    """Where it is and will be soon; None where its place is not known."""
+    here, segment = robot.place_m, robot.segment()
+    if here is None or segment is None:
+        return None
+    segment = homeward.get(robot.name, segment)
+    ahead_s = SOON_S + settings.braking_m / max(settings.max_speed_m_s, 1e-3)
+    obeys = segment.length_m and not robot.strays
+    soon = replace(segment, end_m=segment.at(ahead_s)) if obeys else robot.drift(ahead_s)
+    return _Moment(robot, here, soon or standing(here), robot.unseen(settings))
+
+
+def _must_yield(
+    first: _Moment, second: _Moment, drives: Collection[str], settings: SafetySettings
+) -> Watched | None:
+    """Which of two has to stop now so that they do not meet; None where they keep clear."""
+    near_m = settings.near_m
+    for mover, other in ((second, first), (first, second)):
+        if other.somewhere is None or mover.robot.name not in drives:
+            continue
+        if ever_m(mover.soon, other.somewhere) < near_m and not leaves(mover.soon, other.somewhere, near_m):
+            return mover.robot
+    one, two = first.soon, second.soon
+    if not (one.length_m or two.length_m) or keep_apart_m(one, two) >= near_m:
+        return None
+    limit_m = min(near_m, math.dist(one.start_m, two.start_m) - 0.01)
+    if nearest_m(one, two) >= limit_m:
+        return None
+    helps = nearest_m(one, standing(two.start_m)) >= limit_m
+    second_drives, first_drives = second.robot.name in drives, first.robot.name in drives
+    if second_drives and (helps or not first_drives):
+        return second.robot
+    return first.robot if first_drives else second.robot
+
+
+def _starts(other: Segment) -> tuple[tuple[float, float], ...]:
+    """Delays of the one and the other to look at: close enough to each other to miss no meeting in between."""
+    return AT_ONCE if other.length_m == 0 else LATE_STARTS
