@@ -151,6 +151,15 @@ class Return:
 
 
 @dataclass(frozen=True, slots=True)
+class Land:
+    """Of one that flies: come down where you are, and stay."""
+
+    t_ns: int
+    robot: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class CallOperator:
     """A robot is out of the mission, held or on its way home, until the operator resumes it."""
 
@@ -167,7 +176,7 @@ class EndMission:
     reason: str
 
 
-Command = GoTo | Hold | Return | CallOperator | EndMission
+Command = GoTo | Hold | Return | Land | CallOperator | EndMission
 
 
 @dataclass(frozen=True, slots=True, eq=False)

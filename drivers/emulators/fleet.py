@@ -6,7 +6,7 @@ What arrives at a rover is remembered where it matters: every target it has take
 
 import asyncio
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, ClassVar, Self
@@ -23,6 +23,33 @@ from fieldkit.geo import FieldFrame
 STEP_S = 0.1
 CAPTURED = 200
 """Frames an eavesdropper keeps."""
+
+
+COMMAND_LONG, COMMAND_ACK, DO_SET_MODE = 76, 77, 176
+HEADER, CHECKSUM, SIGNATURE, SIGNED = 10, 2, 13, 1
+"""Of a MAVLink 2 frame, in bytes; the flag of a signed one. Source: https://mavlink.io/en/guide/serialization.html"""
+
+
+def _frames(data: bytes) -> Iterator[bytes]:
+    """The MAVLink 2 frames that a datagram of ours is made of."""
+    at = 0
+    while at + HEADER <= len(data):
+        length = HEADER + data[at + 1] + CHECKSUM + (SIGNATURE if data[at + 2] & SIGNED else 0)
+        yield data[at : at + length]
+        at += length
+
+
+def _message_id(frame: bytes) -> int:
+    return int.from_bytes(frame[7:10], "little")
+
+
+def _commands(data: bytes) -> set[int]:
+    """The commands that a datagram asks for. A command's number stands behind its seven floats."""
+    return {
+        int.from_bytes(frame[HEADER + 28 : HEADER + 30], "little")
+        for frame in _frames(data)
+        if _message_id(frame) == COMMAND_LONG
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +91,18 @@ class EmulatedRover(asyncio.DatagramProtocol):
         self.silent = False
         self.loss = 0.0
         """Share of datagrams lost, each way."""
+        self.loses_acknowledgements = False
+        """Whether its answers to commands are lost, all of them, while everything else passes."""
+        self.on_stop: Callable[[], object] | None = None
+        """Called when a datagram that may be a command to hold has come over the wire, lost or not."""
         self.targets: list[Target] = []
 
     def connection_made(self, transport: Any) -> None:
         self._transport = transport
 
     def datagram_received(self, data: bytes, address: Any) -> None:
+        if self.on_stop is not None and DO_SET_MODE in _commands(data):
+            self.on_stop()
         if self._passes():
             self.send(self.autopilot.receive(data, self._clock.elapsed_s()))
             self._watch_target()
@@ -82,6 +115,8 @@ class EmulatedRover(asyncio.DatagramProtocol):
         self.send(self.autopilot.update(self._clock.elapsed_s()))
 
     def send(self, data: bytes) -> None:
+        if self.loses_acknowledgements:
+            data = b"".join(frame for frame in _frames(data) if _message_id(frame) != COMMAND_ACK)
         if data and self._passes() and self._transport is not None:
             self._transport.sendto(data)
             self._captured = [*self._captured[-CAPTURED:], data]

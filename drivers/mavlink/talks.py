@@ -18,7 +18,7 @@ from fieldkit.checks import Check
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError, DeviceTimeout, VehicleRefused
 from fieldkit.geo import FieldFrame
-from fieldkit.geometry.segments import margin_m
+from fieldkit.geometry.polygons import margin_m
 from fieldkit.ports import Demands, StoredFence, Traits
 
 UNSIGNED_TRIES = 3

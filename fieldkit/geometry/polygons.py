@@ -54,7 +54,7 @@ class KeepOut:
         whole = (
             self._bare
             if self.margin_m <= 0.0
-            else shapely.buffer(self._bare, self.margin_m - ROUNDING_M, ARC)
+            else shapely.buffer(self._bare, self.margin_m - ROUNDING_M, quad_segs=ARC)
         )
         shapely.prepare(whole)
         return whole
@@ -63,7 +63,7 @@ class KeepOut:
     def _open(self) -> Any:
         """The ground that is left; its border touches nothing that is closed."""
         return shapely.difference(
-            _everything(), shapely.buffer(self._bare, max(self.margin_m, ROUNDING_M), ARC)
+            _everything(), shapely.buffer(self._bare, max(self.margin_m, ROUNDING_M), quad_segs=ARC)
         )
 
     @cached_property

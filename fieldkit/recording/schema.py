@@ -20,6 +20,7 @@ from fieldkit.messages import (
     Event,
     GoTo,
     Hold,
+    Land,
     Operator,
     Plan,
     Pose,
@@ -78,6 +79,7 @@ _OUT: dict[str, type[Command]] = {
     "goto": GoTo,
     "hold": Hold,
     "return": Return,
+    "land": Land,
     "call": CallOperator,
     "end": EndMission,
 }

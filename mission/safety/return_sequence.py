@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from fieldkit.geometry.routes import route
 from fieldkit.geometry.segments import Place, Segment, ever_m, standing
-from fieldkit.messages import CallOperator, Command, GoTo, Hold, Return, Waypoint
+from fieldkit.messages import CallOperator, Command, GoTo, Hold, Land, Return, Waypoint
 from mission.safety.monitor import SLOW_M_S, SafetySettings, Watched
 from mission.safety.separation import are_layered
 
@@ -43,6 +43,8 @@ class _Trip:
     """Since when it has been near home."""
     by_itself: bool = False
     """By the vehicle's own return."""
+    lands: bool = False
+    """It is home and was told to land."""
 
     @property
     def goal_m(self) -> Place:
@@ -109,7 +111,12 @@ class ReturnSequence:
         name, trip, here = robot.name, self.under_way[robot.name], robot.place_m
         if here is None:
             return []
+        if trip.lands:
+            return self._land(robot, trip, now_ns)
         if self._is_home(robot, trip, settings, now_ns):
+            if name in settings.altitude_m:
+                trip.lands, trip.told_ns = True, 0
+                return self._land(robot, trip, now_ns)
             self.forget(name)
             return [Hold(now_ns, name, f"it is home: {trip.reason}")]
         if now_ns > trip.until_ns:
@@ -135,6 +142,20 @@ class ReturnSequence:
             trip.told_ns = now_ns
             return [_tell(robot, trip, settings, now_ns)]
         return []
+
+    def _land(self, robot: Watched, trip: _Trip, now_ns: int) -> list[Command]:
+        """Above its home: told to land until it does; done when it stands or has switched its motors off."""
+        vehicle = robot.vehicle
+        if vehicle is not None and vehicle.link_up and (vehicle.on_ground or not vehicle.armed):
+            self.forget(robot.name)
+            return []
+        if now_ns > trip.until_ns or robot.somebody_elses:
+            self.forget(robot.name)
+            return [CallOperator(now_ns, robot.name, f"it did not land: {trip.reason}")]
+        if (vehicle is not None and vehicle.mode == "land") or (now_ns - trip.told_ns) * 1e-9 <= REPEAT_S:
+            return []
+        trip.told_ns = now_ns
+        return [Land(now_ns, robot.name, f"it is home: {trip.reason}")]
 
     def _last_resort(
         self, robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int

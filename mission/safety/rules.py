@@ -31,6 +31,7 @@ from fieldkit.messages import (
     Event,
     GoTo,
     Hold,
+    Land,
     Operator,
     Pose,
     ReceiverState,
@@ -134,7 +135,7 @@ class Safety:
             return
         if isinstance(command, GoTo) and robot.place_m is not None:
             robot.send(_segment_to(robot.place_m, command.waypoint), command.t_ns)
-        elif isinstance(command, Hold | Return):
+        elif isinstance(command, Hold | Return | Land):
             robot.stop()
 
     # -- the operator ----------------------------------------------------------------------------------------

@@ -10,14 +10,14 @@ The dispatcher decides nothing else. What may be ordered is for safety to say.
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError, VehicleRefused
-from fieldkit.messages import CallOperator, Command, EndMission, GoTo, Hold, Return
+from fieldkit.messages import CallOperator, Command, EndMission, GoTo, Hold, Land, Return
 from fieldkit.ports import VehicleLink
 
 logger = logging.getLogger(__name__)
@@ -49,7 +49,15 @@ class _Current:
 class Dispatcher:
     """The vehicles of one mission. To be used inside a running event loop; `close` ends what is under way."""
 
-    def __init__(self, links: Iterable[VehicleLink], clock: Clock, note: Note) -> None:
+    def __init__(
+        self,
+        links: Iterable[VehicleLink],
+        clock: Clock,
+        note: Note,
+        altitude_m: Mapping[str, float] | None = None,
+    ) -> None:
+        """`altitude_m`: robots that fly, and how high they climb once they are ours."""
+        self._altitude_m = dict(altitude_m or {})
         self._links = tuple(links)
         self.link_of = {robot: link for link in self._links for robot in link.robots}
         self._clock = clock
@@ -75,6 +83,7 @@ class Dispatcher:
         if isinstance(order, Hold):
             if current is not None and under_way and isinstance(current.order, Hold):
                 return
+            self.link_of[robot].stop(robot)  # its first frame has left before anything else is done
         elif self._frozen[robot] and order != RELEASE:
             return
         if current is not None and under_way:
@@ -226,7 +235,11 @@ class Dispatcher:
                 await link.hold(robot)
             case Return():
                 await link.return_home(robot)
+            case Land():
+                await link.land(robot)
             case "acquire control":
                 await link.take_over(robot)
+                if (up_m := self._altitude_m.get(robot)) is not None:
+                    await link.take_off(robot, up_m)
             case _:
                 raise VehicleRefused(f"{robot}: {order} is no order for a vehicle")

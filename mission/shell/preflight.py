@@ -11,14 +11,14 @@ import logging
 import math
 import os
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from fieldkit.checks import Check, Level
 from fieldkit.errors import DeviceError
 from fieldkit.geometry.polygons import margin_m
-from fieldkit.messages import Pose, ReceiverState, RssReading
+from fieldkit.messages import Pose, ReceiverState, RssReading, VehicleState
 from fieldkit.ports import PositionSource, Receiver, VehicleLink
 from mission.core.mission_file import Mission
 from mission.shell.setups import Setup
@@ -45,6 +45,8 @@ class Heard:
     readings: dict[str, list[float]] = field(default_factory=dict)
     deaf: dict[str, str] = field(default_factory=dict)
     """Robot to why its radio is down."""
+    flies: dict[str, bool] = field(default_factory=dict)
+    """Robot to whether its vehicle says that it flies."""
 
 
 async def preflight(mission: Mission, setup: Setup, folder: Path, listen_s: float) -> list[Check]:
@@ -74,8 +76,7 @@ async def preflight(mission: Mission, setup: Setup, folder: Path, listen_s: floa
     for receiver in setup.receivers:
         if receiver.robot not in silent:
             checks.append(judge_hearing(receiver.robot, heard, listen_s))
-    checks += judge_places(mission, heard.poses)
-    return checks
+    return [*checks, *judge_places(mission, heard.poses), *judge_heights(mission, heard.flies)]
 
 
 async def _ask_all(fences: VehicleFences, mission: Mission, setup: Setup, listen_s: float) -> list[Check]:
@@ -126,6 +127,8 @@ def _unopened(device: Receiver | VehicleLink | PositionSource, error: DeviceErro
 async def _listen(device: Receiver | VehicleLink | PositionSource, heard: Heard) -> None:
     if isinstance(device, VehicleLink):
         async for event in device.events():
+            if isinstance(event, VehicleState) and event.link_up:
+                heard.flies[event.robot] = event.flies
             if isinstance(event, Pose):
                 heard.poses.setdefault(event.robot, event)
                 if heard.poses[event.robot].origin == event.origin:
@@ -223,6 +226,24 @@ def judge_places(mission: Mission, poses: dict[str, Pose]) -> list[Check]:
             checks.append(Check(robot, "place", level, found, remedy))
         else:
             checks.append(_apart(robot, pose, poses, mission, inside_m))
+    return checks
+
+
+def judge_heights(mission: Mission, flies: Mapping[str, bool]) -> list[Check]:
+    """Whether those that fly have a height in the mission file, and those that have one fly."""
+    checks = []
+    heights_m = mission.safety.altitude_m
+    for robot, does in flies.items():
+        if does and robot not in heights_m:
+            remedy = "write flies = true, or altitude_m, into its [[robot]] table"
+            checks.append(
+                Check(robot, "height", "red", "it flies, and the mission file gives it no height", remedy)
+            )
+        elif not does and robot in heights_m:
+            found = f"the mission file sends it to {heights_m[robot]:g} m, and its vehicle does not fly"
+            checks.append(Check(robot, "height", "red", found, "take flies and altitude_m out of its table"))
+        elif does:
+            checks.append(Check(robot, "height", "green", f"flies at {heights_m[robot]:g} m above home"))
     return checks
 
 

@@ -49,6 +49,8 @@ from mission.shell.vehicle_fences import VehicleFences
 logger = logging.getLogger(__name__)
 
 TICK_S = 0.5
+LANDING_S = 900.0
+"""How long robots that fly may take to go home and land when the mission is over."""
 LATE_STOP_S = 1.5
 """A stop that takes longer to be shown than over a poor link is an alarm."""
 DUE_SLACK_S = 0.002
@@ -100,13 +102,18 @@ class Runner:
         self.records = MissionRecorder(
             self.kernel, self.mission.kernel.engine.grid.cell_m, self.recorder, *self.followers
         )
-        self.dispatcher = Dispatcher(self.setup.links, self.setup.clock, self._note)
+        self.dispatcher = Dispatcher(
+            self.setup.links, self.setup.clock, self._note, self.mission.safety.altitude_m
+        )
         self.fences = VehicleFences(self.mission, self.dispatcher.link_of, self._note)
         self.signals = StopSignals(self._signalled, self._signalled_again, self.dispatcher.lose_patience)
         self.unconfirmed: list[str] = []
         """Robots that had not shown that they hold when the mission was left."""
         self._doing: dict[str, str] = {}
         self._steered = False
+        self._over_reason = ""
+        """Why the mission is over; robots that fly may still be on their way home."""
+        self._down_by_ns = self._ended_ns = 0
         self._resumed_ns = 0
         """When the last event of an interrupted mission came; 0: this one begins."""
 
@@ -268,6 +275,8 @@ class Runner:
             self.records.belief(number, t_ns, look)
         if isinstance(event, Operator):
             self._obey_operator(event)
+        if self._over_reason:
+            self._end_when_down(t_ns, event)
         if isinstance(event, Tick) or outcome.notes:
             self._show(t_ns, outcome)
 
@@ -353,9 +362,39 @@ class Runner:
             elif event.action == "release":
                 self.dispatcher.order(robot, RELEASE)
 
+    def _aloft(self) -> list[str]:
+        """Robots that fly, are ours, and are not known to stand on the ground."""
+        return [
+            name
+            for name in self.mission.safety.altitude_m
+            if (robot := self.safety.robots[name]).vehicle is not None
+            and not robot.somebody_elses
+            and robot.ordered != "release"
+            and robot.vehicle.armed
+            and robot.vehicle.on_ground is not True
+        ]
+
+    def _bring_down(self, now_ns: int) -> None:
+        """The mission is over: what flies goes home, in sequence, and lands. Nothing may hang in the air after us."""
+        self._down_by_ns = now_ns + round(LANDING_S * 1e9)
+        for name in self._aloft():
+            self._note("info", f"{name} goes home and lands: {self._over_reason}")
+            self.put(Operator(self.setup.clock.now_ns(), "return", name, "the mission is over"))
+
+    def _end_when_down(self, now_ns: int, event: Event) -> None:
+        """End once nothing of ours flies, when it takes too long, or when the operator says so once more."""
+        again = isinstance(event, Operator) and event.action == "end" and event.t_ns > self._ended_ns
+        self._ended_ns = self._ended_ns or now_ns
+        if aloft := self._aloft():
+            if not again and now_ns < self._down_by_ns:
+                return
+            self._say(f"STILL IN THE AIR: {', '.join(aloft)}: they hold where they are; land them by hand")
+        self.end_reason = self._over_reason
+
     def _carry_out(self, command: Command) -> None:
         if isinstance(command, EndMission):
-            self.end_reason = command.reason
+            self._over_reason = command.reason
+            self._bring_down(command.t_ns)
             return
         if isinstance(command, CallOperator):
             self._doing[command.robot] = f"needs the operator: {command.reason}"

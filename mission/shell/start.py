@@ -10,7 +10,7 @@ from mission.core.kernel import Kernel
 from mission.core.mission_file import Mission
 from mission.safety.rules import Safety
 from mission.shell.dispatcher import Dispatcher, Note
-from mission.shell.preflight import judge_places, refused
+from mission.shell.preflight import judge_heights, judge_places, refused
 from mission.shell.vehicle_fences import VehicleFences, demands_of
 
 READY_TIMEOUT_S = 60.0
@@ -58,6 +58,10 @@ class Start:
         checks += [check for found in await asyncio.gather(*asked) for check in found]
         poses = {name: robot.pose for name, robot in kernel.robots.items() if robot.pose is not None}
         checks += [check for check in judge_places(self.mission, poses) if check.robot not in absent]
+        flies = {
+            name: robot.vehicle.flies for name, robot in kernel.robots.items() if robot.vehicle is not None
+        }
+        checks += [check for check in judge_heights(self.mission, flies) if check.robot not in absent]
         for check in checks:
             if check.level != "green":
                 self.note("warning", f"{check.robot}: {check.name} {check.level}: {check.found}")

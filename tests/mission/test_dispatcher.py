@@ -8,6 +8,7 @@ import pytest
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceTimeout, VehicleRefused
 from fieldkit.messages import GoTo, Hold, Pose, Return, VehicleState, Waypoint
+from fieldkit.ports import StoredFence, Traits
 from mission.shell.dispatcher import ACQUIRE, RELEASE, STOP_PATIENCE_S, Dispatcher
 
 RATE = 50.0
@@ -22,6 +23,8 @@ class Vehicles:
         self.answers = {robot: asyncio.Event() for robot in robots}
         """Set: this vehicle's holds are confirmed."""
         self.refuses: set[str] = set()
+        self.slow = True
+        """Acquiring control takes for ever."""
         self.beats = 0
 
     async def __aenter__(self) -> "Vehicles":
@@ -40,7 +43,7 @@ class Vehicles:
         self.asked.append((robot, "acquire"))
         if robot in self.refuses:
             raise VehicleRefused(f"{robot}: not ready")
-        await asyncio.sleep(3600.0)
+        await asyncio.sleep(3600.0 if self.slow else 0.0)
 
     async def inspect(self, robot: str, fence_m: object = ()) -> list[object]:
         return []
@@ -54,6 +57,9 @@ class Vehicles:
             raise VehicleRefused(f"{robot}: go to a way-point: FAILED")
         await asyncio.sleep(3600.0)  # its acknowledgement is lost
 
+    def stop(self, robot: str) -> None:
+        self.asked.append((robot, "stop"))
+
     async def hold(self, robot: str) -> None:
         self.asked.append((robot, "hold"))
         if robot in self.refuses:
@@ -62,6 +68,20 @@ class Vehicles:
 
     async def return_home(self, robot: str) -> None:
         self.asked.append((robot, "return"))
+
+    async def land(self, robot: str) -> None:
+        self.asked.append((robot, "land"))
+
+    async def take_off(self, robot: str, up_m: float) -> None:
+        self.asked.append((robot, f"take off {up_m:g}"))
+
+    async def traits(self, robot: str) -> Traits:
+        return Traits()
+
+    async def put_fence(self, robot: str, corners_m: object) -> StoredFence:
+        return StoredFence(robot, None)
+
+    async def restore_fence(self, stored: StoredFence) -> None: ...
 
 
 class Bench:
@@ -94,7 +114,7 @@ async def test_a_stop_does_not_wait_for_an_order_that_is_still_being_confirmed()
     await bench.settle()
     bench.hold("a")
     await bench.settle()
-    assert bench.vehicles.asked == [("a", "goto 1"), ("a", "hold")]
+    assert bench.vehicles.asked == [("a", "goto 1"), ("a", "stop"), ("a", "hold")]
     await bench.dispatcher.close()
 
 
@@ -103,9 +123,10 @@ async def test_a_stop_does_not_wait_for_control_that_is_being_acquired() -> None
     acquiring = asyncio.create_task(bench.dispatcher.acquire())
     await bench.settle()
     bench.dispatcher.freeze(["a", "b"], 0, "operator: hold")
+    assert bench.vehicles.asked[2:] == [("a", "stop"), ("b", "stop")], "before anything else is done"
     await bench.settle()
     await acquiring  # no error: the stop came later
-    assert bench.vehicles.asked[2:] == [("a", "hold"), ("b", "hold")]
+    assert bench.vehicles.asked[4:] == [("a", "hold"), ("b", "hold")]
     await bench.dispatcher.close()
 
 
@@ -147,7 +168,7 @@ async def test_the_same_stop_again_starts_nothing_anew() -> None:
     for _ in range(3):
         bench.hold("a")
         await bench.settle()
-    assert bench.vehicles.asked == [("a", "hold")]
+    assert bench.vehicles.asked == [("a", "stop"), ("a", "hold")]
     await bench.dispatcher.close()
 
 
@@ -158,12 +179,12 @@ async def test_while_frozen_only_stops_and_releases_pass() -> None:
     bench.dispatcher.order("a", Return(0, "a", "home"))
     bench.dispatcher.order("a", ACQUIRE)
     await bench.settle()
-    assert bench.vehicles.asked == [("a", "hold")]
+    assert bench.vehicles.asked == [("a", "stop"), ("a", "hold")]
     bench.dispatcher.order("a", RELEASE)
     bench.dispatcher.thaw(["a"])
     bench.goto("a")
     await bench.settle()
-    assert bench.vehicles.asked[1:] == [("a", "release"), ("a", "goto 1")]
+    assert bench.vehicles.asked[2:] == [("a", "release"), ("a", "goto 1")]
     await bench.dispatcher.close()
 
 
@@ -204,3 +225,11 @@ async def test_a_refused_way_point_is_said_with_the_vehicles_words() -> None:
     await bench.settle()
     assert bench.dispatcher.answers["a"][1].endswith("FAILED")
     assert bench.notes == ["a: GoTo: a: go to a way-point: FAILED"]
+
+
+async def test_one_that_flies_climbs_once_it_is_ours() -> None:
+    vehicles = Vehicles("a", "b")
+    vehicles.slow = False
+    dispatcher = Dispatcher((vehicles,), ScaledClock(RATE), lambda level, text: None, {"b": 13.0})
+    await dispatcher.acquire()
+    assert vehicles.asked == [("a", "acquire"), ("b", "acquire"), ("b", "take off 13")]

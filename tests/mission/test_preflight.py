@@ -117,7 +117,7 @@ def test_a_missing_radio_is_red_and_the_rest_is_checked_all_the_same(tmp_path: P
     assert found["r1", "radio"].level == "red" and "ttyUSB0" in found["r1", "radio"].found
     assert found["r2", "radio"].level == "amber" and "transmitter" in found["r2", "radio"].remedy
     assert found["r4", "failsafe"].level == "green"
-    assert rig.links[0].beats >= 4, "a copter that hears no ground station does not arm"  # type: ignore[attr-defined]
+    assert setup.links[0].beats >= 4, "a copter that hears no ground station does not arm"  # type: ignore[attr-defined]
     assert found["mission", "disk"].level in ("green", "amber", "red")
 
 
