@@ -59,7 +59,7 @@ class DemoResult:
 def example_readings() -> Path:
     """The readings log shipped with the examples, in a checkout or an installed package."""
     for path in (
-        Path(__file__).parent.parent / "examples" / "readings.csv",
+        Path(__file__).parents[2] / "examples" / "readings.csv",
         Path(str(resources.files("fieldkit"))) / "_examples" / "readings.csv",
     ):
         if path.exists():
