@@ -74,10 +74,10 @@ def test_ctrl_c_holds_the_vehicles_and_closes_the_recording(tmp_path: Path) -> N
         output, errors = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert json.loads(output)["end_reason"] == "interrupted", errors
+    assert json.loads(output)["end_reason"] == "interrupted (SIGINT)", errors
     (log,) = tmp_path.glob("*/mission.mcap")
     recording = open_recording(log)
     assert recording.complete
     notes = [note.text for _, note in recording.notes()]
-    assert any("all vehicles were told to hold" in text for text in notes)
-    assert not any("did not confirm" in text for text in notes)
+    assert any("told to hold: r1, r2, r3, r4" in text for text in notes)
+    assert not any("NOT CONFIRMED" in text for text in notes)
