@@ -2,14 +2,14 @@
 
 Each trial is one mission on the real runner, safety, recorder and MAVLink driver. Vehicles are emulated behind real
 UDP sockets, radios at the port (their wires have tests of their own), and time jumps (`fieldkit.jumploop`), so a
-trial is repeatable by its seed. Every fourth trial has 16 robots, the others 4. Each is flown twice: with faults and,
-from the same seed, without. Judged is what happened to the vehicles, not what the mission thinks happened.
+trial is repeatable by its seed. Every fourth trial has 16 robots, the others 4; half of them a polygon for a
+fence. Each is flown twice: with faults and, from the same seed, without. `fault_judge` judges.
 
 An operator is played too: a while after a fault has gone, the robot is resumed.
 """
 
 import asyncio
-import math
+import json
 import shutil
 import socket
 import tempfile
@@ -23,9 +23,8 @@ import numpy as np
 
 from fieldkit import jumploop, plugins
 from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
-from fieldkit.errors import FieldkitError
 from fieldkit.files import write_whole
-from fieldkit.messages import GoTo, Operator
+from fieldkit.messages import Operator
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.channel import sample_rss_dbm
@@ -33,9 +32,10 @@ from fieldkit.world.fakes import FakeReceiver
 from fieldkit.world.sources import TransientSource, Transmissions, random_sources
 from mission.core.mission_file import Mission, read_mission
 from mission.core.template import TemplateRobot, mission_text
+from mission.lab.study.fault_judge import measure
 from mission.lab.study.pool import Progress, run_trials
 from mission.lab.synthetic import ANTENNA, LEVELS_DB
-from mission.replay.replay import replay, resumable
+from mission.replay.replay import resumable
 from mission.safety.rules import SafetySettings
 from mission.shell.runner import Runner
 from mission.shell.setups import Setup, replace_options, start_places, with_vehicles
@@ -61,6 +61,8 @@ class Size:
     duration_s: float
 
 
+POLYGON = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.62, 1.0), (0.5, 0.72), (0.38, 1.0), (0.0, 1.0))
+"""A fence with a notch, in shares of the field's side."""
 SMALL, LARGE = Size(4, 10.0, 2, 300.0), Size(16, 20.0, 4, 160.0)
 
 
@@ -70,6 +72,10 @@ class Job:
 
     number: int
     seed: int
+
+    @property
+    def has_polygon(self) -> bool:
+        return self.number // LARGE_EVERY % 2 == 1
 
     @property
     def size(self) -> Size:
@@ -96,12 +102,18 @@ KINDS: dict[str, tuple[float, float]] = {
     "battery drop": (0.0, 0.0),
     "clock step": (0.0, 0.0),
     "packet loss 30 %": (30.0, 120.0),
+    "acknowledgements lost": (20.0, 90.0),
+    "noisy positions": (20.0, 120.0),
     "forged and replayed frames": (10.0, 60.0),
     "operator takes over": (10.0, 60.0),
     "kill -9 and resume": (0.0, 0.0),
 }
 STOPS = {"link loss", "GPS loss", "reboot", "battery drop", "operator takes over"}
 """Faults after which the robot must not go on driving to way-points of ours."""
+EVERYBODYS = ("packet loss 30 %", "acknowledgements lost", "noisy positions", "kill -9 and resume")
+"""Faults that all robots have at once."""
+NOISE_M = 0.5
+"""Standard deviation of noisy positions."""
 RESUMED = STOPS - {"battery drop"} | {"stuck", "radio unplugged"}
 
 
@@ -117,7 +129,7 @@ def draw_faults(job: Job, robots: tuple[str, ...]) -> list[Fault]:
     for kind, robot in zip(dict.fromkeys(kinds), victims, strict=False):
         at_s = float(rng.uniform(0.1, 0.5)) * size.duration_s
         until_s = at_s + float(rng.uniform(*KINDS[kind]))
-        everybody = kind in ("packet loss 30 %", "kill -9 and resume")
+        everybody = kind in EVERYBODYS
         faults.append(Fault(kind, "" if everybody else str(robot), at_s, until_s))
     return sorted(faults, key=lambda fault: fault.at_s)
 
@@ -179,12 +191,18 @@ def _prepare(job: Job, folder: Path) -> tuple[Mission, tuple[TransientSource, ..
             TemplateRobot(f"r{k}", f"radio{k}", "udpin:127.0.0.1:0", k) for k in range(1, size.robots + 1)
         ],
     )
+    if job.has_polygon:
+        corners = [[size.field_m * east, size.field_m * north] for east, north in POLYGON]
+        text = text.replace("\n[antenna]", f"\nfence = {json.dumps(corners)}\n\n[antenna]", 1)
     write_whole(folder / "mission.toml", text)
+    mission = read_mission(folder / "mission.toml")
     rng = np.random.default_rng([job.seed, 0x50])
-    sources = random_sources(
-        size.sources, size.field_m, size.field_m, LEVELS_DB, 0.1, rng, min_separation_m=1.5
-    )
-    return read_mission(folder / "mission.toml"), tuple(sources)
+    while True:
+        sources = random_sources(
+            size.sources, size.field_m, size.field_m, LEVELS_DB, 0.1, rng, min_separation_m=1.5
+        )
+        if all(mission.safety.bounds.clearance_m((s.east_m, s.north_m)) > 0.0 for s in sources):
+            return mission, tuple(sources)
 
 
 async def _fly(job: Job, folder: Path, *, with_faults: bool) -> dict[str, Any]:
@@ -212,7 +230,7 @@ async def _fly(job: Job, folder: Path, *, with_faults: bool) -> dict[str, Any]:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-    return _measure(flight, sources)
+    return measure(flight, sources)
 
 
 async def _run(flight: Flight, port: int, past: Path | None) -> str:
@@ -380,136 +398,19 @@ _ACTS: dict[str, tuple[Act, Act]] = {
         _act(lambda rover, *_: setattr(rover, "loss", 0.3)),
         _act(lambda rover, *_: setattr(rover, "loss", 0.0)),
     ),
+    "acknowledgements lost": (
+        _act(lambda rover, *_: setattr(rover, "loses_acknowledgements", True)),
+        _act(lambda rover, *_: setattr(rover, "loses_acknowledgements", False)),
+    ),
+    "noisy positions": (
+        _act(lambda rover, *_: setattr(rover.autopilot, "pose_noise_m", NOISE_M)),
+        _act(
+            lambda rover, flight, _: setattr(rover.autopilot, "pose_noise_m", flight.fleet.spec.pose_noise_m)
+        ),
+    ),
     "forged and replayed frames": (_forge, _act(_nothing)),
     "operator takes over": (_act(lambda rover, *_: rover.taken_by_hand()), _act(_nothing)),
 }
-
-
-# -- the judge -----------------------------------------------------------------------------------------------
-
-
-def _measure(flight: Flight, sources: tuple[TransientSource, ...]) -> dict[str, Any]:
-    runner = flight.runner
-    assert runner is not None
-    cell_m = flight.mission.kernel.engine.grid.cell_m
-    finds = [source for source in runner.kernel.sources() if source.state == "found"]
-    near = [
-        any(max(abs(f.east_m - s.east_m), abs(f.north_m - s.north_m)) <= cell_m for f in finds)
-        for s in sources
-    ]
-    stray = [
-        f
-        for f in finds
-        if all(math.hypot(f.east_m - s.east_m, f.north_m - s.north_m) > 2 * cell_m for s in sources)
-    ]
-    last_fault_s = max((fault.at_s for fault in flight.faults), default=0.0)
-    touched = {fault.robot for fault in flight.faults}
-    others = [name for name in flight.fleet.rovers if name not in touched]
-    went_on = any(
-        target.t_s > last_fault_s for name in others for target in flight.fleet.rovers[name].targets
-    )
-    return {
-        "end_reason": runner.end_reason,
-        "found": sum(near),
-        "sources": len(sources),
-        "false_finds": len(stray),
-        "fence_breaches": _fence_breaches(flight),
-        "separation_breaches": _separation_breaches(flight),
-        "closest_m": flight.fleet.closest_m,
-        "not_held": flight.not_held,
-        "resumed_wrongly": flight.resumed_wrongly,
-        "others_stopped": bool(
-            flight.faults and others and flight.ended_s > last_fault_s + 60.0 and not went_on
-        ),
-        "unreadable": [problem for path in flight.recordings if (problem := _unreadable(path))],
-        "interventions": runner.safety.interventions,
-        "ended_s": flight.ended_s,
-    }
-
-
-def _fence_breaches(flight: Flight) -> int:
-    """Targets that vehicles took on the wire, outside the fence that way-points must keep inside."""
-    size, margin = flight.mission.file.field, flight.mission.safety.fence_margin_m - 0.02
-    return sum(
-        not (
-            margin <= target.east_m <= size.size_east_m - margin
-            and margin <= target.north_m <= size.size_north_m - margin
-        )
-        for rover in flight.fleet.rovers.values()
-        for target in rover.targets
-    )
-
-
-def _separation_breaches(flight: Flight) -> int:
-    """Way-points let pass that would have brought two robots too near, each driving straight from where it said it was.
-
-    Stepped through in time, from the recording alone: another reckoning than the one safety uses.
-    """
-    try:
-        recording = open_recording(flight.recordings[-1])
-        return _count_near(recording, flight.mission)
-    except FieldkitError:
-        return 0
-
-
-def _count_near(recording: Any, mission: Mission) -> int:
-    limit_m = mission.safety.near_m
-    place: dict[str, np.ndarray] = {}
-    heading: dict[str, tuple[np.ndarray, float]] = {}
-    breaches = 0
-    for step in recording.steps():
-        event = step.event
-        if type(event).__name__ == "Pose":
-            place[event.robot] = np.array([event.east_m, event.north_m])
-        allowed = [c for origin, c in step.commands if origin == "safety"]
-        for command in allowed:
-            if isinstance(command, GoTo):
-                target = np.array([command.waypoint.east_m, command.waypoint.north_m])
-                heading[command.robot] = (target, max(command.waypoint.speed_m_s, 0.01))
-            elif (robot := getattr(command, "robot", None)) is not None:
-                heading.pop(robot, None)
-        sent = [c.robot for c in allowed if isinstance(c, GoTo) and c.robot in place]
-        for robot in sent:
-            breaches += any(
-                _would_meet(robot, other, place, heading, limit_m) for other in place if other != robot
-            )
-    return breaches
-
-
-def _would_meet(
-    one: str,
-    other: str,
-    place: dict[str, np.ndarray],
-    heading: dict[str, tuple[np.ndarray, float]],
-    limit_m: float,
-) -> bool:
-    """Whether two robots that drive on as they were told come nearer than the limit, and nearer than they are."""
-    now_m = float(np.hypot(*(place[one] - place[other])))
-    t_s = np.arange(0.0, 60.0, 0.1)[:, None]
-    gap_m = np.hypot(*(_driven(one, place, heading, t_s) - _driven(other, place, heading, t_s)).T)
-    return bool(gap_m.min() < min(limit_m, now_m - 0.02))
-
-
-def _driven(
-    robot: str, place: dict[str, np.ndarray], heading: dict[str, tuple[np.ndarray, float]], t_s: np.ndarray
-) -> np.ndarray:
-    """(k, 2) places at times (k, 1)."""
-    here = place[robot]
-    if robot not in heading:
-        return np.broadcast_to(here, (len(t_s), 2))
-    target, speed_m_s = heading[robot]
-    length_m = float(np.hypot(*(target - here)))
-    share = np.minimum(1.0, t_s * speed_m_s / max(length_m, 1e-9))
-    return np.asarray(here + share * (target - here))
-
-
-def _unreadable(path: Path) -> str:
-    """Why a recording cannot be replayed as far as it goes; empty when it can."""
-    try:
-        replay(path)
-    except FieldkitError as error:
-        return f"{path.name}: {error}"
-    return ""
 
 
 def _judge(job: Job, flown: dict[str, Any], twin: dict[str, Any]) -> dict[str, Any]:
