@@ -41,6 +41,8 @@ MAX_PEERS = 64
 """Addresses remembered per link; forged ones must not fill the memory."""
 HOUSEKEEPING_S = 0.5
 POSITION_STALE_S = 2.0
+ASK_TIME_EVERY_NS = 5_000_000_000
+"""A link that is slow for good is not asked more often."""
 RIVAL_S = 10.0
 REFUSED_MANY = 20
 """Frames refused before the operator is told: some seconds of one vehicle."""
@@ -174,7 +176,6 @@ class MavlinkLink:
                 self._commander.heard(message, message.get_srcSystem())
                 continue
             if message.get_type() == "TIMESYNC" and message.ts1 == steered.time_asked and message.tc1:
-                steered.time_asked = None
                 steered.vehicle.clock_measured(message.ts1, message.tc1, now_ns)
             for inbox in steered.inboxes:
                 if message.get_type() in inbox.kinds:
@@ -256,7 +257,8 @@ class MavlinkLink:
 
     def _settle_clock(self, steered: Steered, now_ns: int) -> None:
         """A vehicle that froze and goes on has an old clock; one round trip tells that from a link become slow."""
-        if steered.vehicle.clock_in_doubt and steered.vehicle.link_up:
+        due = now_ns - (steered.time_asked or 0) > ASK_TIME_EVERY_NS
+        if due and steered.vehicle.clock_in_doubt and steered.vehicle.link_up:
             steered.time_asked = now_ns // 256 * 256 + self._own_id
             self._send(steered.vehicle, mavlink.MAVLink_timesync_message(0, steered.time_asked))
 

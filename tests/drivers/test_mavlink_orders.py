@@ -223,6 +223,7 @@ async def test_a_link_that_has_become_slow_is_not_taken_for_a_clock_that_stood_s
         rover.send = late
         await t.sleep(15.0)
         assert t.clock.now_ns() - t.poses()[-1].t_ns > 2.5e9
+        assert len(t.sent_to(rover, "TIMESYNC")) <= 4, "a slow link is not burdened"
 
 
 async def test_what_drives_is_on_the_ground_whatever_it_calls_its_altitude():
