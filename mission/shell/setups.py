@@ -113,13 +113,14 @@ def emulated(
     clock = ScaledClock(rate)
     port = _free_udp_port()
     starts = start_places(mission)
+    flying = mission.safety.altitude_m
     spec = spec_type(
         clock=clock,
         frame=mission.frame,
         antenna=radio_of(mission),
         sources=sources,
         robots=tuple(
-            robot_type(name, number, float(east), float(north), 0.0)
+            robot_type(name, number, float(east), float(north), 0.0, "copter" if name in flying else "rover")
             for number, (name, (east, north)) in enumerate(starts.items(), start=1)
         ),
         vehicle_address=f"127.0.0.1:{port}",

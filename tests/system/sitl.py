@@ -36,12 +36,16 @@ ROVER = COMMON | {
     "SERVO1_MIN": 1000, "SERVO1_MAX": 2000, "SERVO3_MIN": 1000, "SERVO3_MAX": 2000, "CRUISE_SPEED": 5,
     "CRUISE_THROTTLE": 30, "ATC_SPEED_P": 0.1, "ATC_STR_RAT_FF": 0.75, "WP_RADIUS": 2, "WP_SPEED": 2,
 }  # fmt: skip
-COPTER = COMMON | {
-    "FS_GCS_ENABLE": 5, "FENCE_ACTION": 1, "BATT_FS_LOW_ACT": 1, "FRAME_CLASS": 1, "FRAME_TYPE": 0, "WPNAV_SPEED": 200,
-    "RTL_ALT": 1000, "COMPASS_OFS_X": 5, "COMPASS_OFS_Y": 13, "COMPASS_OFS_Z": -18, "COMPASS_OFS2_X": 5,
-    "COMPASS_OFS2_Y": 13, "COMPASS_OFS2_Z": -18, "COMPASS_OFS3_X": 5, "COMPASS_OFS3_Y": 13, "COMPASS_OFS3_Z": -18,
-    "ARMING_CHECK": 1,
+COMPASSES = {
+    f"COMPASS_OFS{number}_{axis}": offset
+    for number in ("", "2", "3")
+    for axis, offset in (("X", 5), ("Y", 13), ("Z", -18))
+}
+COPTER = COMMON | COMPASSES | {
+    "FS_GCS_ENABLE": 5, "FENCE_ACTION": 1, "BATT_FS_LOW_ACT": 1, "FRAME_CLASS": 1, "FRAME_TYPE": 0,
+    "WPNAV_SPEED": 200, "RTL_ALT": 1000, "ARMING_CHECK": 1, "BATT_CAPACITY": 20000,
 }  # fmt: skip
+"""With the 3.3 Ah that it has by itself a simulated copter is at a mission's reserve after four minutes."""
 
 
 @dataclass(frozen=True, slots=True)
