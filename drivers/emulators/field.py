@@ -12,6 +12,7 @@ import random
 import signal
 import tempfile
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -169,6 +170,14 @@ def start(spec: FieldSpec) -> RunningField:
         process.join()
         raise ports
     return RunningField(process, ours, ports)
+
+
+def emulate(robots: Iterable[tuple[Any, ...]], **spec: Any) -> RunningField:
+    """`start` for callers that find it by name: robots as the fields of `EmulatedRobot`, the spec by keyword.
+
+    What the keywords are is said at `FieldSpec`.
+    """
+    return start(FieldSpec(robots=tuple(EmulatedRobot(*robot) for robot in robots), **spec))
 
 
 def _child(spec: FieldSpec, connection: Connection) -> None:

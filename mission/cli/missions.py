@@ -1,6 +1,5 @@
-"""`fieldkit demo | run | replay | report | new | check`. Heavy imports stay inside the commands."""
+"""`fieldkit run | preflight | replay | report | new | check | dashboard`. Heavy imports stay inside the commands."""
 
-import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,72 +8,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mission.cli.options import (
+    HostOption,
+    JsonOption,
+    PageOption,
+    PortOption,
+    print_json,
+    run_folder,
+    say,
+    shown_page,
+)
+
 if TYPE_CHECKING:
-    from mission.core.mission_file import Mission
-    from mission.page.serve import LivePage
     from mission.replay.command import Changes
     from mission.shell.recorder import Follower
 
-PageOption = Annotated[bool, typer.Option("--page/--no-page", help="Serve the live page.")]
-HostOption = Annotated[
-    str, typer.Option(help="Address the page is served on; 0.0.0.0 for phones in the same network.")
-]
-PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any.")]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print the result alone, as JSON, on standard output.")
-]
-
 UNCONFIRMED_EXIT = 4
 """Exit code of a mission whose vehicles have not all shown that they hold."""
-
-
-def _say(text: str) -> None:
-    typer.echo(text, err=True)
-
-
-def _print_json(value: Any) -> None:
-    typer.echo(json.dumps(value, indent=2, allow_nan=False, default=str))
-
-
-def demo(
-    seed: Annotated[int, typer.Option(help="Where the transmitters hide, and all other chance.")] = 7,
-    out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
-    rate: Annotated[float, typer.Option(min=0.1, max=20.0, help="Mission seconds per wall second.")] = 10.0,
-    page: PageOption = False,
-    page_host: HostOption = "127.0.0.1",
-    page_port: PortOption = 8321,
-    as_json: JsonOption = False,
-) -> None:
-    """Run one whole mission on emulated radios and rovers, through the real drivers.
-
-    Four robots in two pairs look for three hidden transmitters in a field of 10 m x 10 m.
-
-    Example: fieldkit demo --seed 7
-    """
-    from mission.analysis.report import write_report
-    from mission.lab import demo as demonstration
-    from mission.shell.terminal import Watch, result_table
-
-    folder = _run_folder(out)
-    _say(
-        f"calibrating the radios from {demonstration.example_readings().name}, then searching; files go to {folder}"
-    )
-    prepared = demonstration.prepare(folder, seed)
-    with (
-        _page(prepared[0], page, page_host, page_port) as shown,
-        Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
-    ):
-        result = demonstration.run(
-            folder, seed, rate=rate, on_progress=watch.show, page=shown, prepared=prepared
-        )
-    write_report(folder / "mission.mcap", folder / "report.html")
-    plain = result.plain(seed)
-    if as_json:
-        _print_json(plain | {"report": str(folder / "report.html")})
-        return
-    result_table(plain)
-    typer.echo(f"\nwritten: {folder}/{{mission.mcap, mission.toml, antenna.toml, report.html}}")
-    typer.echo(f"next:    fieldkit replay {folder}/mission.mcap")
 
 
 def run(
@@ -123,12 +73,12 @@ def run(
         mission = read_mission(mission_file)
     setup = setups.live(mission)
     warm_up(mission)
-    folder = _run_folder(out)
+    folder = run_folder(out)
     write_whole(folder / "mission.toml", mission.text)
     write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
-    _say(f"recording to {folder}/mission.mcap")
+    say(f"recording to {folder}/mission.mcap")
     with (
-        _page(mission, page, page_host, page_port) as shown,
+        shown_page(mission, page, page_host, page_port) as shown,
         Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
     ):
         runner = fly(
@@ -136,7 +86,7 @@ def run(
         )
     finds = [plain_source(source) for source in runner.kernel.sources()]
     if as_json:
-        _print_json(
+        print_json(
             runner.result()
             | {
                 "sources": finds,
@@ -150,16 +100,16 @@ def run(
         typer.echo(f"ended: {runner.end_reason}")
         sources_table(finds)
     if runner.recorder.failure:
-        _say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above")
+        say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above")
     try:
         write_report(folder / "mission.mcap", folder / "report.html")
     except (OSError, FieldkitError) as error:
-        _say(f"no report was written: {error}; 'fieldkit report {folder}/mission.mcap -o FILE' tries again")
+        say(f"no report was written: {error}; 'fieldkit report {folder}/mission.mcap -o FILE' tries again")
     else:
-        _say(f"written: {folder}/{{mission.mcap, mission.toml, report.html}}")
+        say(f"written: {folder}/{{mission.mcap, mission.toml, report.html}}")
     if runner.unconfirmed:
         names = ", ".join(runner.unconfirmed)
-        _say(f"NOT CONFIRMED to hold: {names}. Stop by hand: remote control, or the vehicle's switch")
+        say(f"NOT CONFIRMED to hold: {names}. Stop by hand: remote control, or the vehicle's switch")
         raise typer.Exit(UNCONFIRMED_EXIT)
 
 
@@ -185,11 +135,11 @@ def preflight(
     from mission.shell.terminal import checks_table
 
     mission = read_mission(mission_file)
-    _say(f"listening for {listen_s:g} s ...")
+    say(f"listening for {listen_s:g} s ...")
     checks = asyncio.run(before.preflight(mission, setups.live(mission), out, listen_s))
     verdict = worst(checks)
     if as_json:
-        _print_json({"verdict": verdict, "checks": [asdict(check) for check in checks]})
+        print_json({"verdict": verdict, "checks": [asdict(check) for check in checks]})
     else:
         checks_table(checks)
     raise typer.Exit(verdict == "red")
@@ -240,7 +190,7 @@ def replay(
     results: list[dict[str, Any]] = []
     worst = 0
     for log in logs:
-        pace = None if speed is None else Pace(speed, lambda now: _say(line(now)))
+        pace = None if speed is None else Pace(speed, lambda now: say(line(now)))
         try:
             with _replay_page(log, changed, page) as followers:
                 plain = replay_one(log, changed, until_s=until, on_step=pace, followers=followers)
@@ -257,7 +207,7 @@ def replay(
             typer.echo(f"{log}: {plain['error']}")
             continue
         if plain["missing"]:
-            _say(f"note: {log} is not whole: {plain['missing']}")
+            say(f"note: {log} is not whole: {plain['missing']}")
         typer.echo(
             f"{log}: {plain['events']} events, {plain['duration_s']:.0f} s of mission, {plain['times_real_time']:.0f} "
             f"times real time: {plain['verdict']}\n"
@@ -266,7 +216,7 @@ def replay(
         if len(logs) == 1:
             sources_table(plain["sources"])
     if as_json:
-        _print_json(results[0] if len(logs) == 1 else results)
+        print_json(results[0] if len(logs) == 1 else results)
     if worst:
         raise typer.Exit(worst)
 
@@ -287,7 +237,7 @@ def report(
     target = out or log.with_name("report.html")
     summary = write_report(log, target)
     if as_json:
-        _print_json(summary | {"report": str(target)})
+        print_json(summary | {"report": str(target)})
     else:
         typer.echo(f"written: {target}")
 
@@ -331,7 +281,7 @@ def check(
     setups.live(mission)  # drivers check their own options when they are made
     advice = advise(mission)
     if as_json:
-        _print_json({"mission": str(mission_file), "ok": True, "advice": advice})
+        print_json({"mission": str(mission_file), "ok": True, "advice": advice})
         return
     engine = mission.kernel.engine
     typer.echo(
@@ -340,78 +290,6 @@ def check(
     )
     for line in advice:
         typer.echo(f"note: {line}")
-
-
-def bench(
-    name: Annotated[str, typer.Argument(help="Which benchmark, or all.")] = "all",
-) -> None:
-    """Measure the figures the documentation quotes, as JSON.
-
-    Example: fieldkit bench spog
-    """
-    from fieldkit import plugins
-
-    wanted = (
-        [n for n in plugins.names("fieldkit.benchmarks") if not n.endswith("-long")]
-        if name == "all"
-        else [name]
-    )
-    results = {}
-    for each in wanted:
-        _say(f"measuring {each} ...")
-        results[each] = plugins.load("fieldkit.benchmarks", each)()
-    _print_json(results)
-
-
-def study(
-    name: Annotated[str, typer.Argument(help="Which study: trust, calibration, ...")],
-    trials: Annotated[int, typer.Option(min=1, help="Trials of each scenario.")] = 100,
-    seed: Annotated[int, typer.Option(help="Of the first trial; the others count up.")] = 0,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for results and plot; a killed study goes on where it was.")
-    ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; all cores if not given.")] = None,
-    dask: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Run on the Dask cluster of this scheduler.")
-    ] = None,
-    data: Annotated[
-        Path | None, typer.Option(help="Folder of data sets, for a study of real readings (reality).")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Run many simulated trials and measure: time, false finds, coverage.
-
-    Example: fieldkit study prwa-fig5a --trials 20 --out studies/fig5a
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
-    from fieldkit import plugins
-    from mission.lab.study.options import supported
-    from mission.lab.study.results import BULKY, save
-    from mission.shell.terminal import study_table
-
-    run_study = plugins.load("fieldkit.studies", name)
-    how = supported(
-        run_study,
-        name,
-        workers=workers,
-        dask=dask,
-        data=data,
-        kept=None if out is None else out / "trials.jsonl",
-    )
-    columns = (TextColumn("{task.description}"), BarColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("starting", total=1.0)
-        result = run_study(
-            trials, seed, lambda share, text: bar.update(task, completed=share, description=text), **how
-        )
-    if out is not None:
-        save(result, out)
-    if as_json:
-        _print_json({key: value for key, value in result.items() if key not in BULKY})
-        return
-    study_table(result)
 
 
 def dashboard(
@@ -427,9 +305,9 @@ def dashboard(
     from fieldkit.recording.reader import open_recording
     from mission.page import serve
 
-    _say(f"reading {log} ...")
+    say(f"reading {log} ...")
     with serve.past(open_recording(log), host=page_host, port=page_port) as page:
-        _say(f"open {page.address}   (Ctrl-C ends it)")
+        say(f"open {page.address}   (Ctrl-C ends it)")
         while True:
             wall_sleep(0.5)
 
@@ -445,41 +323,5 @@ def _replay_page(log: Path, changes: "Changes", wanted: bool) -> "Iterator[tuple
     from mission.replay.command import changed_mission
 
     with serve.live(changed_mission(open_recording(log), changes)) as shown:
-        _say(f"to look, open  {shown.page.address}")
+        say(f"to look, open  {shown.page.address}")
         yield (shown.follower,)
-
-
-@contextmanager
-def _page(mission: "Mission", wanted: bool, host: str, port: int) -> "Iterator[LivePage | None]":
-    """The live page, and where to find it, on standard error."""
-    if not wanted:
-        yield None
-        return
-    from mission.page import serve
-    from mission.shell.keyboard import HELP
-
-    with serve.live(mission, host=host, port=port) as shown:
-        _say(f"to look and command, open  {shown.page.command_address}")
-        _say(f"only to look:              {shown.page.address}")
-        if sys.stdin is not None and sys.stdin.isatty():
-            _say(HELP)
-        yield shown
-
-
-def _run_folder(out: Path) -> Path:
-    """A folder of its own for this run, named by the time (UTC)."""
-    from fieldkit.clock import utc_stamp
-
-    stamp = utc_stamp()
-    for suffix in ("", *(f"-{n}" for n in range(2, 1000))):
-        folder = out / f"{stamp}{suffix}"
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        except OSError as error:
-            from fieldkit.errors import ConfigError
-
-            raise ConfigError(f"{out}: cannot make a folder there: {error.strerror}") from error
-        return folder
-    raise AssertionError("a thousand runs within one second")

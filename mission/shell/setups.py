@@ -108,19 +108,18 @@ def emulated(
     Robots start in pairs along the south border. The mission file's ports and addresses are replaced by the
     emulated ones; everything else of it is used as it is.
     """
-    emulators = plugins.load("fieldkit.emulators", "field")
-    spec_type, robot_type = emulators.__globals__["FieldSpec"], emulators.__globals__["EmulatedRobot"]
+    emulate = plugins.load("fieldkit.emulators", "field")
     clock = ScaledClock(rate)
     port = _free_udp_port()
     starts = start_places(mission)
     flying = mission.safety.altitude_m
-    spec = spec_type(
+    emulator = emulate(
         clock=clock,
         frame=mission.frame,
         antenna=radio_of(mission),
         sources=sources,
         robots=tuple(
-            robot_type(name, number, float(east), float(north), 0.0, "copter" if name in flying else "rover")
+            (name, number, float(east), float(north), 0.0, "copter" if name in flying else "rover")
             for number, (name, (east, north)) in enumerate(starts.items(), start=1)
         ),
         vehicle_address=f"127.0.0.1:{port}",
@@ -130,7 +129,7 @@ def emulated(
         # A vehicle's own 5 s, as wall time: on a scaled clock a busy machine would look like a dead one.
         gcs_failsafe_s=max(6.5, 5.0 * rate),
     )
-    with emulators(spec) as field:
+    with emulator as field:
         robots = tuple(
             robot.model_copy(
                 update={

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from benches import FRAME, around, free_udp_port, until
 
-from drivers.emulators.field import EmulatedRobot, FieldSpec, start
+from drivers.emulators.field import EmulatedRobot, FieldSpec, emulate, start
 from drivers.mavlink.fleet import open_link
 from drivers.xbee.receiver import open_receiver
 from fieldkit import plugins
@@ -44,7 +44,7 @@ def spec(rate=20.0, **change) -> FieldSpec:
 
 
 def test_the_field_is_found_by_name():
-    assert plugins.load("fieldkit.emulators", "field") is start
+    assert plugins.load("fieldkit.emulators", "field") is emulate
 
 
 async def test_four_robots_hear_drive_and_are_heard():

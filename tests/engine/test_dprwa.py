@@ -8,11 +8,11 @@ import pytest
 from fieldkit import plugins
 from fieldkit.channel.model import Antenna
 from fieldkit.engine.belief.spog import SpogBelief
-from fieldkit.engine.decentralised.circle import make_circle, plan_period
 from fieldkit.engine.decentralised.ring import ring_time_s
 from fieldkit.engine.decentralised.tracks import TrackAssociator
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.circle import make_circle, plan_period
 from fieldkit.engine.planning.dprwa import DprwaPlanner, dispatch, group_ridges, virtual_ridges
 from fieldkit.engine.planning.ridges import Ridge
 from fieldkit.engine.settings import EngineSettings

@@ -16,8 +16,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, squareform
 
 from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.decentralised.circle import Circle, Period, make_circle, plan_period
 from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.circle import Circle, Period, make_circle, plan_period
 from fieldkit.engine.planning.detour import Detours, shares_of_length
 from fieldkit.engine.planning.ridges import Ridge, find_ridges
 from fieldkit.engine.planning.tour import ridge_tour

@@ -16,10 +16,10 @@ from typing import Protocol
 import numpy as np
 
 from fieldkit.engine.belief.spog import SpogBelief
-from fieldkit.engine.decentralised.circle import Period, make_circle
 from fieldkit.engine.decentralised.exchange import Replica, exchange
 from fieldkit.engine.decentralised.tracks import TrackAssociator
 from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.circle import Period, make_circle
 from fieldkit.engine.planning.dprwa import DprwaPlanner
 from fieldkit.engine.planning.walks import PairRandomWalk, lanes, typical_range_m
 from fieldkit.engine.settings import EngineSettings

@@ -1,0 +1,69 @@
+"""What the mission's commands share: options, words to the terminal, the folder of a run, the live page."""
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from mission.core.mission_file import Mission
+    from mission.page.serve import LivePage
+
+PageOption = Annotated[bool, typer.Option("--page/--no-page", help="Serve the live page.")]
+HostOption = Annotated[
+    str, typer.Option(help="Address the page is served on; 0.0.0.0 for phones in the same network.")
+]
+PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any.")]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print the result alone, as JSON, on standard output.")
+]
+
+
+def say(text: str) -> None:
+    """A line for the person at the terminal; results alone go to standard output."""
+    typer.echo(text, err=True)
+
+
+def print_json(value: Any) -> None:
+    """A result on standard output."""
+    typer.echo(json.dumps(value, indent=2, allow_nan=False, default=str))
+
+
+@contextmanager
+def shown_page(mission: "Mission", wanted: bool, host: str, port: int) -> "Iterator[LivePage | None]":
+    """The live page, and where to find it, on standard error."""
+    if not wanted:
+        yield None
+        return
+    from mission.page import serve
+    from mission.shell.keyboard import HELP
+
+    with serve.live(mission, host=host, port=port) as shown:
+        say(f"to look and command, open  {shown.page.command_address}")
+        say(f"only to look:              {shown.page.address}")
+        if sys.stdin is not None and sys.stdin.isatty():
+            say(HELP)
+        yield shown
+
+
+def run_folder(out: Path) -> Path:
+    """A folder of its own for this run, named by the time (UTC)."""
+    from fieldkit.clock import utc_stamp
+
+    stamp = utc_stamp()
+    for suffix in ("", *(f"-{n}" for n in range(2, 1000))):
+        folder = out / f"{stamp}{suffix}"
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            from fieldkit.errors import ConfigError
+
+            raise ConfigError(f"{out}: cannot make a folder there: {error.strerror}") from error
+        return folder
+    raise AssertionError("a thousand runs within one second")

@@ -1,0 +1,131 @@
+"""`fieldkit demo | bench | study`: the laboratory's commands. Heavy imports stay inside them."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mission.cli.options import (
+    HostOption,
+    JsonOption,
+    PageOption,
+    PortOption,
+    print_json,
+    run_folder,
+    say,
+    shown_page,
+)
+
+
+def demo(
+    seed: Annotated[int, typer.Option(help="Where the transmitters hide, and all other chance.")] = 7,
+    out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
+    rate: Annotated[float, typer.Option(min=0.1, max=20.0, help="Mission seconds per wall second.")] = 10.0,
+    page: PageOption = False,
+    page_host: HostOption = "127.0.0.1",
+    page_port: PortOption = 8321,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one whole mission on emulated radios and rovers, through the real drivers.
+
+    Four robots in two pairs look for three hidden transmitters in a field of 10 m x 10 m.
+
+    Example: fieldkit demo --seed 7
+    """
+    from mission.analysis.report import write_report
+    from mission.lab import demo as demonstration
+    from mission.shell.terminal import Watch, result_table
+
+    folder = run_folder(out)
+    say(
+        f"calibrating the radios from {demonstration.example_readings().name}, then searching; files go to {folder}"
+    )
+    prepared = demonstration.prepare(folder, seed)
+    with (
+        shown_page(prepared[0], page, page_host, page_port) as shown,
+        Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
+    ):
+        result = demonstration.run(
+            folder, seed, rate=rate, on_progress=watch.show, page=shown, prepared=prepared
+        )
+    write_report(folder / "mission.mcap", folder / "report.html")
+    plain = result.plain(seed)
+    if as_json:
+        print_json(plain | {"report": str(folder / "report.html")})
+        return
+    result_table(plain)
+    typer.echo(f"\nwritten: {folder}/{{mission.mcap, mission.toml, antenna.toml, report.html}}")
+    typer.echo(f"next:    fieldkit replay {folder}/mission.mcap")
+
+
+def bench(
+    name: Annotated[str, typer.Argument(help="Which benchmark, or all.")] = "all",
+) -> None:
+    """Measure the figures the documentation quotes, as JSON.
+
+    Example: fieldkit bench spog
+    """
+    from fieldkit import plugins
+
+    wanted = (
+        [n for n in plugins.names("fieldkit.benchmarks") if not n.endswith("-long")]
+        if name == "all"
+        else [name]
+    )
+    results = {}
+    for each in wanted:
+        say(f"measuring {each} ...")
+        results[each] = plugins.load("fieldkit.benchmarks", each)()
+    print_json(results)
+
+
+def study(
+    name: Annotated[str, typer.Argument(help="Which study: trust, calibration, ...")],
+    trials: Annotated[int, typer.Option(min=1, help="Trials of each scenario.")] = 100,
+    seed: Annotated[int, typer.Option(help="Of the first trial; the others count up.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for results and plot; a killed study goes on where it was.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; all cores if not given.")] = None,
+    dask: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Run on the Dask cluster of this scheduler.")
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of data sets, for a study of real readings (reality).")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run many simulated trials and measure: time, false finds, coverage.
+
+    Example: fieldkit study prwa-fig5a --trials 20 --out studies/fig5a
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from fieldkit import plugins
+    from mission.lab.study.options import supported
+    from mission.lab.study.results import BULKY, save
+    from mission.shell.terminal import study_table
+
+    run_study = plugins.load("fieldkit.studies", name)
+    how = supported(
+        run_study,
+        name,
+        workers=workers,
+        dask=dask,
+        data=data,
+        kept=None if out is None else out / "trials.jsonl",
+    )
+    columns = (TextColumn("{task.description}"), BarColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("starting", total=1.0)
+        result = run_study(
+            trials, seed, lambda share, text: bar.update(task, completed=share, description=text), **how
+        )
+    if out is not None:
+        save(result, out)
+    if as_json:
+        print_json({key: value for key, value in result.items() if key not in BULKY})
+        return
+    study_table(result)
