@@ -235,9 +235,11 @@ class Runner:
         start = Start(self.mission, self.setup.clock, self.dispatcher, self._note, self.fences, self.override)
         async with self.dispatcher.beating():
             absent = await start.until_heard(self.kernel, self._resumed_ns, self.recorder.maybe_flush)
-            await start.inspect(self.kernel, absent)
+            resumed = self._resumed_ns > 0
+            out = dict.fromkeys(absent, "nothing is heard of it")
+            out |= await start.inspect(self.kernel, absent, resumed=resumed)
             self._steered = True
-            waits = await start.acquire(self.kernel, self.safety, absent, resumed=self._resumed_ns > 0)
+            waits = await start.acquire(self.kernel, self.safety, out, resumed=resumed)
         for name, why in waits.items():
             self.put(Operator(self.setup.clock.now_ns(), "withdraw", name, why))
         while True:

@@ -1,7 +1,7 @@
 """The start of a mission: every vehicle heard, judged fit, and made ours. Nothing moves before that."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from fieldkit.clock import Clock
@@ -50,8 +50,11 @@ class Start:
             waited(self.clock.now_ns())  # silence is no step of the clock
         return set(missing)
 
-    async def inspect(self, kernel: Kernel, absent: set[str]) -> None:
-        """Vehicles that would not stop by themselves, or are not ready otherwise, keep the mission from starting."""
+    async def inspect(self, kernel: Kernel, absent: set[str], *, resumed: bool) -> dict[str, str]:
+        """Vehicles that would not stop by themselves, or are not ready otherwise, keep the mission from starting.
+
+        A mission that is resumed goes on without them: robots that are not ready, and why.
+        """
         present = {robot: link for robot, link in self.dispatcher.link_of.items() if robot not in absent}
         checks = await self.fences.put(list(present))
         asked = [link.inspect(robot, demands_of(self.mission)) for robot, link in present.items()]
@@ -66,26 +69,36 @@ class Start:
             if check.level != "green":
                 self.note("warning", f"{check.robot}: {check.name} {check.level}: {check.found}")
         if not (reasons := refused(checks)):
-            return
+            return {}
+        if resumed and not self.override:
+            red = {
+                check.robot: f"{check.name}: {check.found}"
+                for check in checks
+                if check.level == "red" and check.robot in kernel.robots
+            }
+            if len(red.keys() | absent) < len(kernel.robots):
+                return red
         if not self.override:
             raise VehicleRefused(
                 f"the vehicles are not ready to start, nothing has moved:\n{reasons}\n"
                 "Mend that, or give a reason to start all the same: --override 'why it is safe'"
             )
         self.note("warning", f"started in spite of red checks: {self.override}")
+        return {}
 
     async def acquire(
-        self, kernel: Kernel, safety: Safety, absent: set[str], *, resumed: bool
+        self, kernel: Kernel, safety: Safety, absent: Mapping[str, str], *, resumed: bool
     ) -> dict[str, str]:
         """Make the vehicles ours. Robots that stay out of the mission until the operator resumes them, and why.
 
-        A mission that begins needs all of them, and raises what one that refuses raises. A resumed one adopts what
+        `absent` are those that are not to be acquired, and why. A mission that begins needs all of them, and raises
+        what one that refuses raises. A resumed one adopts what
         was armed; what is disarmed or refuses waits for the operator and does not keep the others from going on.
         """
         if not resumed:
             await self.dispatcher.acquire()
             return {}
-        waits = dict.fromkeys(absent, "nothing is heard of it") | {
+        waits = dict(absent) | {
             name: "it is disarmed"
             for name, robot in kernel.robots.items()
             if name not in absent and robot.vehicle is not None and not robot.vehicle.armed

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from fieldkit import jumploop
+from fieldkit.checks import Check, Level
 from fieldkit.errors import RecordingError
 from fieldkit.messages import GoTo, Operator, ReceiverState
 from fieldkit.recording.reader import open_recording
@@ -153,3 +154,25 @@ def test_a_recording_with_a_hole_is_refused(tmp_path: Path) -> None:
     steps = list(open_recording(left).steps())
     with scene.recorder("second.mcap") as recorder, pytest.raises(RecordingError, match="event 6 is missing"):
         Runner(scene.mission, scene.setup(), recorder).rebuild(steps[:5] + steps[6:])
+
+
+def test_a_robot_that_is_not_ready_keeps_the_others_from_nothing(tmp_path: Path) -> None:
+    scene = Scene(tmp_path)
+    left = scene.killed()
+    count = len(list(open_recording(left).commands()))
+
+    async def inspect(robot: str, demands: object = None) -> list[Check]:
+        level: Level = "red" if robot == "r1" else "green"
+        return [Check(robot, "failsafe", level, "it would drive on when we fall silent")]
+
+    scene.fleet.inspect = inspect  # type: ignore[method-assign, assignment]
+    scene.resumed(left)
+    log = open_recording(tmp_path / "second.mcap")
+    after = list(log.commands())[count:]
+    assert {c.robot for *_, origin, c in after if isinstance(c, GoTo) and origin == "safety"} == {
+        "r2",
+        "r3",
+        "r4",
+    }
+    withdrawn = [e for *_, e in log.events() if isinstance(e, Operator) and e.action == "withdraw"]
+    assert [(e.robot, "would drive on" in e.reason) for e in withdrawn] == [("r1", True)]

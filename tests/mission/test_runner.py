@@ -2,6 +2,7 @@
 
 import asyncio
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from fieldkit import jumploop
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError, DeviceTimeout
 from fieldkit.jumploop import LoopClock
-from fieldkit.messages import GoTo, Hold, Operator, Pose, Waypoint
+from fieldkit.messages import GoTo, Hold, Operator, Pose, Tick, Waypoint
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
@@ -217,3 +218,52 @@ async def test_the_fake_fleet_refuses_what_a_vehicle_would(tmp_path: Path) -> No
             await fleet.goto("a", Waypoint(1.0, 1.0, 0.3))
         with pytest.raises(DeviceError, match="no vehicle 'b'"):
             await fleet.hold("b")
+
+
+def test_a_laptop_that_slept_holds_everybody_and_goes_on(tmp_path: Path) -> None:
+    """A minute in which nothing ran: the clock has gone on, every position is old, the vehicles held by themselves."""
+
+    async def sleep(runner: Runner, setup: Setup) -> None:
+        await setup.clock.sleep(10.0)
+        clock = setup.clock
+        assert isinstance(clock, LoopClock)
+        clock.start_ns += 60 * 10**9
+
+    runner, _ = fly(tmp_path, act=sleep, duration_s=110.0)
+    log = open_recording(tmp_path / "mission.mcap")
+    assert log.complete and "time is up" in runner.end_reason
+    woke_ns = next(
+        after.t_ns
+        for before, after in pairwise([e for *_, e in log.events() if isinstance(e, Tick)])
+        if after.t_ns - before.t_ns > 30 * 10**9
+    )
+    allowed = [c for *_, origin, c in log.commands() if origin == "safety"]
+    held = {c.robot for c in allowed if isinstance(c, Hold) and 0 <= c.t_ns - woke_ns < 3 * 10**9}
+    assert held == set(runner.kernel.settings.engine.robots)
+    assert any(isinstance(c, GoTo) and c.t_ns > woke_ns + 3 * 10**9 for c in allowed), "then it goes on"
+    assert replay(tmp_path / "mission.mcap").complete
+
+
+def test_a_full_disk_is_an_alarm_for_as_long_as_it_lasts_and_what_was_found_is_kept(tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    mission = small_mission(tmp_path, duration_s=20.0)
+    setup = setup_for(mission)
+
+    class Full:
+        def __getattr__(self, name: str) -> object:
+            raise OSError(28, "No space left on device")
+
+    async def go(runner: Runner, recorder: RecordingWriter) -> None:
+        running = asyncio.create_task(runner.run())
+        await setup.clock.sleep(8.0)
+        recorder._mcap._Writer__stream = Full()  # type: ignore[attr-defined]
+        await running
+
+    with RecordingWriter(tmp_path / "log.mcap") as recorder:
+        runner = Runner(mission, setup, recorder, seen.append)
+        jumploop.run(go(runner, recorder))
+    assert "time is up" in runner.end_reason
+    late = [progress for progress in seen if progress.elapsed_s > 14.0]
+    assert late and all("NOTHING IS RECORDED" in " ".join(progress.alarms) for progress in late)
+    assert runner.result()["events"] > 0
+    assert list(open_recording(tmp_path / "log.mcap").events()), "what was written before can be read"
