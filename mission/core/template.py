@@ -89,6 +89,7 @@ found_probability = {found_probability}      # of being within one cell of the e
 min_receptions = 4
 planning_period_s = {planning_period_s:.1f}
 pose_sigma_m = 0.05          # of each coordinate of the robots' positions
+# arrive_m = 0.5             # so near to its way-point a robot has arrived; else from its speed and its positions
 # prior_rule, sensing and more, for the papers' beliefs and planners: see docs/engine.md
 
 [association]
@@ -112,6 +113,9 @@ min_separation_m = {min_separation_m}       # between way-points of different ro
 overrun_s = {overrun_s}              # robots hold when the steering loop was silent for longer
 battery_reserve_pct = 25.0   # a robot goes home with this much left, or earlier where the way home is long:
 # battery_pct_per_m = 0.02   # what a metre costs; half as much again is kept for the way home
+# battery_low_v = 10.5       # or: home at this voltage, where the vehicle's per cent say little
+# braking_m = 1.0            # how far a robot rolls on after a hold, at the limit of speed; else estimated
+# robots that fly: flies = true in their [[robot]] table, or altitude_m = 12.0
 
 # [[positions]]              # where robots are, if not from their own telemetry: see docs/camera.md
 # driver = "camera"
