@@ -72,11 +72,12 @@ def run(
     elif mission_file is not None:
         mission = read_mission(mission_file)
     setup = setups.live(mission)
+    say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     warm_up(mission)
     folder = run_folder(out)
     write_whole(folder / "mission.toml", mission.text)
     write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
-    say(f"recording to {folder}/mission.mcap")
+    say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
     with (
         shown_page(mission, page, page_host, page_port) as shown,
         Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
@@ -98,7 +99,7 @@ def run(
     else:
         # First of all what was found: nothing that fails below may keep it from the operator.
         typer.echo(f"ended: {runner.end_reason}")
-        sources_table(finds)
+        sources_table(finds, runner.kernel.detections)
     if runner.recorder.failure:
         say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above")
     try:

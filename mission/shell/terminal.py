@@ -1,6 +1,7 @@
 """What a mission shows in a terminal: progress while it runs, tables when it is over."""
 
 import contextlib
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -11,10 +12,15 @@ from rich.text import Text
 
 from fieldkit.checks import Check, worst
 from fieldkit.clock import wall_s
+from fieldkit.messages import SourceEstimate
 from mission.shell.runner import Progress
 
 PLAIN_EVERY_S = 5.0
 """Wall seconds between lines where the output is not a terminal."""
+MOST_TEAMS, MOST_SOURCES = 10, 8
+"""Rows of the live panel: what does not fit is counted."""
+LEAST_P = 0.05
+"""Candidates that are less likely than this are counted, not listed."""
 
 
 class Watch:
@@ -68,25 +74,29 @@ def _found(progress: Progress) -> tuple[int, int]:
 
 
 def _teams(progress: Progress) -> list[tuple[str, str]]:
-    """Team to what its robots are doing; told apart where they differ."""
+    """Team to what its robots are doing; told apart where they differ. Robots that are held have rows of their own."""
     rows = []
     for team in progress.kernel.settings.engine.teams:
-        doing = [
-            progress.doing.get(robot, "waiting").split(":")[0] for robot in team
-        ]  # reasons are in the notes
-        same = len(set(doing)) == 1
-        rows.append(
-            (
-                " + ".join(team),
-                doing[0] if same else ", ".join(f"{r}: {d}" for r, d in zip(team, doing, strict=True)),
-            )
-        )
+        doing = {robot: progress.doing.get(robot, "waiting") for robot in team}
+        free = {robot: what for robot, what in doing.items() if ":" not in what}
+        same = len(set(free.values())) == 1 and len(free) == len(team)
+        if same:
+            rows.append((" + ".join(team), next(iter(free.values()))))
+        else:
+            rows += [(robot, doing[robot]) for robot in team]
     return rows
+
+
+def _by_interest(sources: Sequence[SourceEstimate]) -> list[SourceEstimate]:
+    """Finds first, then by how surely a source is there; candidates that are hardly one are left out."""
+    rank = {"found": 0, "removed": 1, "doubtful": 2, "candidate": 3}
+    seen = [s for s in sources if s.state != "candidate" or s.p_exists >= LEAST_P]
+    return sorted(seen, key=lambda s: (rank[s.state], -s.p_exists, s.ident))
 
 
 def _line(progress: Progress) -> str:
     found, candidates = _found(progress)
-    doing = "; ".join(f"{team} {what}" for team, what in _teams(progress))
+    doing = "; ".join(f"{team} {what.split(':')[0]}" for team, what in _teams(progress))
     return (
         f"{progress.elapsed_s:6.0f} s  {progress.detections:3d} detections  {found} found  "
         f"{candidates} candidates  left {progress.probability_left:.2f}  {doing}"
@@ -99,12 +109,17 @@ def _panel(progress: Progress) -> Group:
     head.append(f"{found} found", style="bold green" if found else "bold")
     head.append(f"   {candidates} candidates   one is left: {progress.probability_left:.2f}")
     table = Table.grid(padding=(0, 2))
-    for team, what in _teams(progress):
-        table.add_row(Text(team), Text(what))
+    rows = sorted(_teams(progress), key=lambda row: ":" not in row[1])  # whoever is held stands first
+    for team, what in rows[:MOST_TEAMS]:
+        style = "yellow" if ":" in what else ""
+        table.add_row(Text(team, style=style), Text(what, style=style, overflow="ellipsis", no_wrap=True))
+    if len(rows) > MOST_TEAMS:
+        table.add_row("", Text(f"and {len(rows) - MOST_TEAMS} more", style="dim"))
     sources = Table(show_edge=False, box=None, padding=(0, 2))
     for column in ("source", "east m", "north m", "P", "receptions", "state"):
-        sources.add_column(column, justify="right" if column != "state" else "left")
-    for s in progress.kernel.sources():
+        sources.add_column(column, justify="right" if column != "state" else "left", no_wrap=True)
+    listed = _by_interest(progress.kernel.sources())
+    for s in listed[:MOST_SOURCES]:
         style = "green" if s.state == "found" else "yellow" if s.state == "doubtful" else ""
         sources.add_row(
             str(s.ident),
@@ -115,8 +130,10 @@ def _panel(progress: Progress) -> Group:
             s.state,
             style=style,
         )
+    more = len(progress.kernel.sources()) - min(len(listed), MOST_SOURCES)
     alarms = [Text(alarm, style="bold white on red") for alarm in progress.alarms]
-    return Group(*alarms, head, table, sources)
+    rest = [Text(f"and {more} weaker candidates", style="dim")] if more else []
+    return Group(*alarms, head, sources, *rest, table)
 
 
 def result_table(plain: dict[str, Any]) -> None:
@@ -161,22 +178,29 @@ def result_table(plain: dict[str, Any]) -> None:
     )
 
 
-def sources_table(sources: list[dict[str, Any]]) -> None:
-    """Estimates as a table on standard output."""
+def sources_table(sources: list[dict[str, Any]], detections: int = 0) -> None:
+    """Estimates as a table on standard output, and below it what is to be said of them."""
+    console = Console()
     if not sources:
-        Console().print("no source was heard")
-        return
-    table = Table()
-    for column in ("source", "state", "east m", "north m", "± m", "P", "heard", "rate Hz", "note"):
-        table.add_column(
-            column, justify="left" if column in ("state", "note") else "right", no_wrap=column != "note"
+        heard = (
+            f"{detections} transmissions were heard, too few for a source"
+            if detections
+            else "nothing was heard"
         )
+        console.print(heard)
+        return
+    table = Table(box=None, padding=(0, 1))
+    for column in ("source", "state", "east m", "north m", "± m", "P", "heard", "rate Hz"):
+        table.add_column(column, justify="left" if column == "state" else "right", no_wrap=True)
     for s in sources:
         table.add_row(
             str(s["ident"]), s["state"], f"{s['east_m']:.2f}", f"{s['north_m']:.2f}", f"{s['sigma_m']:.2f}",
-            f"{s['p_within_one_cell']:.2f}", f"{s['receptions']:.1f}", f"{s['rate_hz']:.3f}", Text(s["note"]),
+            f"{s['p_within_one_cell']:.2f}", f"{s['receptions']:.1f}", f"{s['rate_hz']:.3f}",
         )  # fmt: skip
-    Console().print(table)
+    console.print(table)
+    for s in sources:
+        if s["note"]:
+            console.print(Text(f"source {s['ident']}: {s['note']}"))
 
 
 _COLOURS = {"green": "green", "amber": "yellow", "red": "bold red"}

@@ -91,7 +91,7 @@ def test_a_refused_calibration_stops_the_mission_unless_told_otherwise(folder: P
         ("sigma_db = 3.3", "sigma_db = -3.3", ["parameters.sigma_db", "positive"]),
         ("sigma_db = 3.3", "sigma_db = nan", ["parameters.sigma_db", "finite"]),
         ("threshold_dbm = -70.0", "", ["parameters.threshold_dbm", "None"]),
-        ("schema = 1", "schema = 2", ["schema", "newer"]),
+        ("schema = ", "schema = 9", ["schema", "newer"]),
     ],
 )
 def test_a_bad_antenna_file_is_named_too(folder: Path, old: str, new: str, words: list[str]) -> None:
