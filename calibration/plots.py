@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,11 +13,19 @@ from calibration.patterns import Pattern
 from calibration.profile import Profile
 from fieldkit.messages import FloatArray
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 BAND_SIGMA = 1.96
 _MOST_POINTS = 20_000
 
 
 def fit_png(result: FitResult) -> bytes:
+    """`fit_figure` as a PNG."""
+    return _png(fit_figure(result))
+
+
+def fit_figure(result: FitResult) -> "Figure":
     """Readings against distance, the fitted mean with its 95 % band, threshold and saturation."""
     figure, axes = _figure(7.0, 4.5)
     distance, level, count = _counted(result)
@@ -47,7 +55,7 @@ def fit_png(result: FitResult) -> bytes:
     axes.set(xlabel="distance (m)", ylabel="reading (dBm)", title=r.name)
     _log_distance(axes)
     axes.legend(fontsize="small")
-    return _png(figure)
+    return figure
 
 
 def residual_pngs(result: FitResult) -> dict[str, bytes]:
@@ -149,7 +157,7 @@ def _log_distance(axes: Any) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _figure(width: float, height: float) -> tuple[Any, Any]:
+def _figure(width: float, height: float) -> "tuple[Figure, Any]":
     # The object interface: pyplot would start a window system.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

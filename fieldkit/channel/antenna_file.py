@@ -125,12 +125,15 @@ def with_pattern(file: AntennaFile) -> Antenna:
     return replace(file.antenna, pattern_db=tuple(float(gain) for gain in gains))
 
 
-def read_antenna(path: Path, *, allow_refused: bool = False, allow_pattern: bool = False) -> AntennaFile:
+def read_antenna(
+    path: Path | str, *, allow_refused: bool = False, allow_pattern: bool = False
+) -> AntennaFile:
     """Read an antenna file. Raises `ConfigError` naming file, key, what was expected and what was there.
 
     A file whose verdict is `refused` is an error unless `allow_refused`. So is one with a radiation pattern
     unless `allow_pattern`: who reads only `antenna` would take a directional antenna for one that is not.
     """
+    path = Path(path)
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

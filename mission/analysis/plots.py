@@ -5,10 +5,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
@@ -27,15 +25,20 @@ def svg(figure: Figure) -> str:
     """The figure as an `<svg>` element."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", bbox_inches="tight")
-    plt.close(figure)
     text = buffer.getvalue()
     return text[text.index("<svg") :]
+
+
+def _subplots(*, figsize: tuple[float, float]) -> tuple[Figure, Axes]:
+    """A figure of its own: pyplot would keep each one, and choose a window system."""
+    figure = Figure(figsize=figsize)
+    return figure, figure.subplots()
 
 
 def field_map(story: Story) -> Figure:
     """Belief, tracks, sources with their 90 % ellipse, and the truth where it is known."""
     field = story.mission.file.field
-    figure, axes = plt.subplots(figsize=(7.2, 6.4))
+    figure, axes = _subplots(figsize=(7.2, 6.4))
     if story.belief is not None:
         # Cells that are likely differ by orders of magnitude from those that are merely unsearched.
         shown = axes.imshow(
@@ -65,7 +68,7 @@ def field_map(story: Story) -> Figure:
     return figure
 
 
-def _draw_source(axes: plt.Axes, source: SourceEstimate) -> None:
+def _draw_source(axes: Axes, source: SourceEstimate) -> None:
     colour = {"found": FOUND, "candidate": CANDIDATE, "doubtful": DOUBTFUL, "removed": DOUBTFUL}[source.state]
     axes.add_patch(ellipse(source.east_m, source.north_m, source.cov_m2, colour, "-"))
     axes.plot(source.east_m, source.north_m, "+", ms=8, mew=1.5, color=colour)
@@ -80,7 +83,13 @@ def _draw_source(axes: plt.Axes, source: SourceEstimate) -> None:
 
 def probability_over_time(story: Story) -> Figure:
     """P(within one cell) of each source that ended as one, and the probability that one is left."""
-    figure, axes = plt.subplots(figsize=(8.4, 2.8))
+    figure, axes = _subplots(figsize=(8.4, 2.8))
+    draw_probability(axes, story)
+    return figure
+
+
+def draw_probability(axes: Axes, story: Story) -> None:
+    """See `probability_over_time`."""
     for source in story.final:
         points = [
             (t, s.p_here) for t, all_then in story.estimates for s in all_then if s.ident == source.ident
@@ -97,12 +106,17 @@ def probability_over_time(story: Story) -> Figure:
     )
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
-    return figure
 
 
 def detections_over_time(story: Story) -> Figure:
     """Every reading of every transmission, by robot."""
-    figure, axes = plt.subplots(figsize=(8.4, 2.8))
+    figure, axes = _subplots(figsize=(8.4, 2.8))
+    draw_detections(axes, story)
+    return figure
+
+
+def draw_detections(axes: Axes, story: Story) -> None:
+    """See `detections_over_time`."""
     for index, robot in enumerate(story.tracks):
         points = [
             (t, float(detection.rss_dbm[detection.robots.index(robot)]))
@@ -121,15 +135,16 @@ def detections_over_time(story: Story) -> Figure:
     axes.set(xlim=(0, max(story.duration_s, 1.0)), xlabel="mission time, s", ylabel="RSSI, dBm")
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
-    return figure
 
 
 def use_of_robots(story: Story, rows: Sequence[Stretch]) -> Figure:
     """Who was on what, when: searching, on a candidate, on a ridge, held."""
     robots = list(story.tracks)
-    figure, axes = plt.subplots(figsize=(8.4, 0.5 + 0.35 * max(1, len(robots))))
+    figure, axes = _subplots(figsize=(8.4, 0.5 + 0.35 * max(1, len(robots))))
     kinds = sorted({kind(purpose) for *_, purpose in rows})
-    colour: dict[str, Any] = dict(zip(kinds, [plt.get_cmap("tab10")(k) for k in range(10)], strict=False))
+    colour: dict[str, Any] = dict(
+        zip(kinds, [matplotlib.colormaps["tab10"](k) for k in range(10)], strict=False)
+    )
     colour["held"] = "#d62728"
     for robot, start_s, end_s, purpose in rows:
         axes.barh(
@@ -151,7 +166,7 @@ def use_of_robots(story: Story, rows: Sequence[Stretch]) -> Figure:
 def searched_map(story: Story, covered: Coverage) -> Figure:
     """Where a source would have been heard, had there been one."""
     east_m, north_m = covered.size_m
-    figure, axes = plt.subplots(figsize=(4.6, 4.2))
+    figure, axes = _subplots(figsize=(4.6, 4.2))
     shown = axes.imshow(
         covered.heard,
         origin="lower",
@@ -175,7 +190,7 @@ def searched_map(story: Story, covered: Coverage) -> Figure:
 def source_map(story: Story, source: SourceEstimate, refined: Refined | None) -> Figure:
     """The surroundings of one source: belief, its receptions by strength, estimate, refinement, truth."""
     half = _surroundings_m(story, source, refined)
-    figure, axes = plt.subplots(figsize=(4.4, 4.0))
+    figure, axes = _subplots(figsize=(4.4, 4.0))
     field = story.mission.file.field
     if story.belief is not None:
         axes.imshow(
@@ -226,7 +241,7 @@ def _surroundings_m(story: Story, source: SourceEstimate, refined: Refined | Non
 
 def residuals(fit: Fit) -> Figure:
     """How readings lie around the prediction, with the curve the antenna file promises."""
-    figure, axes = plt.subplots(figsize=(4.6, 3.0))
+    figure, axes = _subplots(figsize=(4.6, 3.0))
     reach = max(12.0, float(np.abs(fit.residual_db).max()) + 1.0)
     bins = np.arange(-np.ceil(reach), np.ceil(reach) + 1.0, 1.0)
     axes.hist(fit.residual_db, bins=bins.tolist(), color="#9ecae1", density=True, label="readings")
@@ -252,7 +267,7 @@ def ellipse(east_m: float, north_m: float, cov_m2: np.ndarray, colour: str, styl
 
 def found_by_time(rows: Sequence[dict[str, Any]], by: str) -> Figure:
     """Of all sources of a group's missions, the share found (for good) by each time."""
-    figure, axes = plt.subplots(figsize=(8.4, 3.2))
+    figure, axes = _subplots(figsize=(8.4, 3.2))
     groups = sorted({row[by] for row in rows}, key=str)
     last_s = max((row["duration_s"] for row in rows), default=1.0)
     for index, group in enumerate(groups):
@@ -273,7 +288,7 @@ def found_by_time(rows: Sequence[dict[str, Any]], by: str) -> Figure:
 def errors_by_group(rows: Sequence[dict[str, Any]], by: str) -> Figure:
     """Distance of each find to its true source, a dot each, with the median."""
     groups = sorted({row[by] for row in rows}, key=str)
-    figure, axes = plt.subplots(figsize=(8.4, 0.9 + 0.45 * len(groups)))
+    figure, axes = _subplots(figsize=(8.4, 0.9 + 0.45 * len(groups)))
     for index, group in enumerate(groups):
         errors = [
             s["error_m"] for r in rows if r[by] == group for s in r["sources"] if s["error_m"] is not None

@@ -322,7 +322,7 @@ class Kernel:
 
     @property
     def _team_by_team(self) -> bool:
-        return bool(getattr(self.planner, "TEAM_BY_TEAM", False))
+        return self.planner.TEAM_BY_TEAM
 
     def _to_plan(
         self, now_ns: int, teams: tuple[tuple[str, ...], ...], found_more: bool

@@ -54,8 +54,9 @@ class Mission:
         return rectangle(field.size_east_m, field.size_north_m, safety.vehicle_fence_beyond_m)
 
 
-def read_mission(path: Path) -> Mission:
+def read_mission(path: Path | str) -> Mission:
     """Read and check a mission file and the antenna file it names, relative to itself. Raises `ConfigError`."""
+    path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -9,15 +9,11 @@ import numpy as np
 from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
 from fieldkit.channel.model import Antenna
 from fieldkit.files import write_whole
-from fieldkit.messages import Command, Event, Tick
-from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.sources import TransientSource, random_sources
-from mission.core.kernel import Kernel, Outcome, state_digest
 from mission.core.mission_file import Mission, read_mission
 from mission.core.template import TemplateRobot, mission_text
-from mission.lab.simulate import Truth, simulate
-from mission.safety.rules import Safety
-from mission.shell.recorder import MissionRecorder
+from mission.lab.simulate import Truth
+from mission.lab.simulated import fly_simulated
 from mission.shell.setups import radio_of, start_places
 
 ANTENNA = Antenna(2.53, -62.0, 3.3, -70.0, -36.0)
@@ -84,60 +80,7 @@ def record_simulated(
         engine=engine,
         antenna=antenna,
     )
-    sources = hidden_sources(seed)
-    truth = Truth(radio_of(mission), sources, tuple(start_places(mission).values()))
+    truth = Truth(radio_of(mission), hidden_sources(seed), tuple(start_places(mission).values()))
     path = folder / "mission.mcap"
-    safety = Safety(mission.safety)
-    number = 0
-    records: MissionRecorder | None = None
-    with RecordingWriter(
-        path,
-        mission_toml=mission.text,
-        antenna_toml=mission.antenna_text,
-        metadata={
-            "mission": "synthetic",
-            "seed": seed,
-            "truth": [
-                {"east_m": s.east_m, "north_m": s.north_m, "power_db": s.power_db, "rate_hz": s.rate_hz}
-                for s in sources
-            ],
-        },
-        frame=mission.frame,
-    ) as recorder:
-
-        def note(kernel: Kernel, event: Event, outcome: Outcome) -> list[Command]:
-            nonlocal number, records
-            records = records or MissionRecorder(kernel, mission.kernel.engine.grid.cell_m, recorder)
-            number += 1
-            records.event(number, event.t_ns, event)
-            allowed = safety.observe(event)
-            for command in allowed:
-                records.command(number, event.t_ns, command, "safety")
-            for asked, passed in zip(outcome.commands, safety.judge(outcome.commands), strict=True):
-                records.command(number, event.t_ns, asked, "kernel")
-                records.command(number, event.t_ns, passed, "safety")
-                allowed.append(passed)
-            records.outcome(number, event.t_ns, outcome)
-            if isinstance(event, Tick) and (look := records.look_if_due(event.t_ns)) is not None:
-                records.belief(number, event.t_ns, look)
-            return allowed
-
-        result = simulate(mission.kernel, truth, seed, on_step=note)
-        end_ns = round(result.elapsed_s * 1e9)
-        assert records is not None  # a mission has events
-        records.end(number, end_ns)
-        recorder.result(
-            number,
-            end_ns,
-            {
-                "end_reason": result.end_reason,
-                "belief_hash": result.kernel.digest(),
-                "commands_hash": result.kernel.commands_digest(),
-                "state_hash": state_digest(result.kernel),
-                "events": number,
-                "detections": result.kernel.detections,
-                "found_at_s": {str(ident): at_s for ident, at_s in result.kernel.found_at_s.items()},
-                "interventions": safety.interventions,
-            },
-        )
+    fly_simulated(mission, truth, seed, path, {"mission": "synthetic", "seed": seed})
     return path

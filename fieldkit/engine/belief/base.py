@@ -1,10 +1,35 @@
 """What every belief offers to the kernel, the planners and the viewers."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class Unresolved:
+    """What a planner needs to know of a candidate: k samples of where and how strong it may be."""
+
+    ident: int
+    """As in `SourceEstimate.ident`."""
+    points_m: FloatArray
+    """(k, 2) equally likely places, east and north."""
+    level: FloatArray
+    """(k,) the power hypothesis at each: a row of the belief's `model.hear`."""
+    cov_m2: FloatArray
+    """(2, 2) covariance of the place."""
+    rate_hz: float
+    """Expected rate of transmissions."""
+    receptions: float
+    """Expected number of transmissions heard from it."""
+    p_here: float
+    """Probability that it lies within one cell of its estimate."""
+    state: str
+    """As in `SourceEstimate.state`."""
+    may_be_two: bool
+    """Whether two sources explain what was heard about as well."""
 
 
 class Belief(Protocol):

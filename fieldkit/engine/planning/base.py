@@ -3,14 +3,15 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Protocol
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from fieldkit.engine.belief.base import Belief
+from fieldkit.engine.belief.base import Belief, Unresolved
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.planning import path_loops
 from fieldkit.engine.settings import EngineSettings
+from fieldkit.errors import ConfigError
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
 
@@ -33,12 +34,74 @@ class Situation:
     """Sources that were taken away: nobody is sent to look at them."""
 
 
+class HearingModel(Protocol):
+    """How likely one robot hears a packet, against squared distance: tables with a column for each `step2_m2`.
+
+    `fieldkit.engine.likelihood.levels.LevelsModel` is one.
+    """
+
+    hear: FloatArray
+    """(h, steps) P(heard) at squared distance (k + 1/2) * step2_m2, by power hypothesis."""
+    hear_known_mean: FloatArray
+    """(steps,) the same averaged over the power levels a source may have."""
+    step2_m2: float
+    search_reach_m: float
+    """Beyond this distance `hear_known_mean` counts as nothing."""
+
+
+@runtime_checkable
+class InformativeBelief(Belief, Protocol):
+    """A belief that also says what there is to learn, and where: what the planner `infogain` asks for."""
+
+    @property
+    def model(self) -> HearingModel:
+        """What the belief takes for granted about hearing."""
+        ...
+
+    @property
+    def exposure_s(self) -> FloatArray:
+        """(h, n_north, n_east): P(some robot hears a source there) integrated over the time listened."""
+        ...
+
+    def ground_value(self) -> FloatArray:
+        """(n_north, n_east) expected number of sources of the reference rate that are not among the candidates."""
+        ...
+
+    def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
+        """Candidates worth another look, each with so many samples of where and how strong it may be."""
+        ...
+
+
+def informative(belief: Belief, planner: str) -> InformativeBelief:
+    """The belief as one that says what there is to learn. Raises `ConfigError` that names what it lacks."""
+    if isinstance(belief, InformativeBelief):
+        return belief
+    needed = ("exposure_s", "ground_value", "model", "unresolved")
+    lacks = ", ".join(name for name in needed if not hasattr(belief, name))
+    raise ConfigError(
+        f"planner '{planner}' needs a belief that says what there is to learn, as 'intensity' does; "
+        f"{type(belief).__name__} lacks {lacks}: choose planner 'prwa' for it"
+    )
+
+
+@runtime_checkable
+class PointingBelief(Belief, Protocol):
+    """A belief that knows its most probable place better than the highest cell of `presence`."""
+
+    def most_probable(self) -> tuple[float, float] | None:
+        """East and north in metres; None where no place stands out."""
+        ...
+
+
 class Planner(Protocol):
     """Decides where teams go. Deterministic given its own seeded generator.
 
-    One whose class says `TEAM_BY_TEAM = True` plans for one team on what the others (`Situation.busy`) leave, and is
-    asked for one at a time; the others are asked for all together.
+    Planners inherit from it explicitly, and so from its default of `TEAM_BY_TEAM`.
     """
+
+    TEAM_BY_TEAM: ClassVar[bool] = False
+    """True: it plans for one team on what the others (`Situation.busy`) leave, and is asked for one at a time.
+    False: it is asked for all teams together."""
 
     def __init__(self, settings: EngineSettings) -> None: ...
 

@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, squareform
 
 from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.base import Planner, Situation
 from fieldkit.engine.planning.circle import Circle, Period, make_circle, plan_period
 from fieldkit.engine.planning.detour import Detours, shares_of_length
 from fieldkit.engine.planning.ridges import Ridge, find_ridges
@@ -34,7 +34,7 @@ RIDGES = 12
 SLOWEST_M_S = 0.01
 
 
-class DprwaPlanner:
+class DprwaPlanner(Planner):
     """See the module."""
 
     alone = False

@@ -15,13 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.belief.intensity.belief import IntensityBelief, Unresolved
+from fieldkit.engine.belief.base import Belief, Unresolved
 from fieldkit.engine.planning import path_loops
-from fieldkit.engine.planning.base import Situation, legs_within_range, track, waypoints
+from fieldkit.engine.planning.base import (
+    InformativeBelief,
+    Planner,
+    Situation,
+    informative,
+    legs_within_range,
+    track,
+    waypoints,
+)
 from fieldkit.engine.planning.reward import STEP_S, Ledger
 from fieldkit.engine.settings import EngineSettings
-from fieldkit.errors import ConfigError
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
 HORIZON_S = 45.0
@@ -54,7 +60,7 @@ class _Options:
     """(n, steps, m, 2)"""
 
 
-class InfoGainPlanner:
+class InfoGainPlanner(Planner):
     """See the module."""
 
     TEAM_BY_TEAM = True
@@ -69,11 +75,10 @@ class InfoGainPlanner:
         """Ground is valued in squares of so many cells: finer than that, ranges blur it anyway."""
 
     def plan(self, situation: Situation, belief: Belief) -> Plan:
-        """Paths for all teams of the situation. Raises `ConfigError` for a belief without exposure."""
-        if not isinstance(belief, IntensityBelief):
-            raise ConfigError("planner 'infogain' needs belief 'intensity'; choose 'prwa' for other beliefs")
+        """Paths for all teams of the situation. Raises `ConfigError` for a belief that is not informative."""
+        informed = informative(belief, "infogain")
         horizon_s = max(HORIZON_S, 1.5 * self.settings.planning_period_s)
-        ledger = self._ledger(belief, situation.removed)
+        ledger = self._ledger(informed, situation.removed)
         for team, busy in situation.busy.items():
             if all(robot in situation.position_m for robot in team):
                 ledger.take(self._underway(team, busy, situation, horizon_s))
@@ -98,7 +103,7 @@ class InfoGainPlanner:
                 paths[robot], purpose[robot] = path, options.purpose[best]
         return Plan(situation.t_ns, paths, purpose)
 
-    def _ledger(self, belief: IntensityBelief, removed: frozenset[int]) -> Ledger:
+    def _ledger(self, belief: InformativeBelief, removed: frozenset[int]) -> Ledger:
         value = blocks_summed(GROUND_VALUE * belief.ground_value(), self._block)
         unresolved = [each for each in belief.unresolved(SAMPLES, self._rng) if each.ident not in removed]
         return Ledger(self.settings, belief.model, value, self._block * self.grid.cell_m, unresolved)

@@ -3,15 +3,14 @@
 import numpy as np
 
 from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.belief.csma import CsmaBelief
-from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.base import Planner, PointingBelief, Situation
 from fieldkit.engine.planning.steering import Steering
 from fieldkit.engine.planning.walks import random_corners, typical_range_m
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
 
-class ProbablePlanner:
+class ProbablePlanner(Planner):
     """Takes the peak of P(C_i) for any other belief; walks at random where nothing stands out."""
 
     def __init__(self, settings: EngineSettings) -> None:
@@ -46,7 +45,7 @@ class ProbablePlanner:
         )
 
     def _goal(self, belief: Belief) -> FloatArray | None:
-        if isinstance(belief, CsmaBelief):
+        if isinstance(belief, PointingBelief):
             place = belief.most_probable()
             return None if place is None else np.array(place)
         presence = np.array(belief.presence())

@@ -13,7 +13,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.optimize import linear_sum_assignment
 
 from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.base import Planner, Situation
 from fieldkit.engine.planning.ridges import Ridge, find_ridges
 from fieldkit.engine.planning.spacing import best_spacing_m
 from fieldkit.engine.planning.steering import Steering
@@ -31,7 +31,7 @@ MAX_CELLS = 250
 """Clusters with more cells are thinned for the entropy, which takes time with their square."""
 
 
-class PrwaPlanner:
+class PrwaPlanner(Planner):
     """See the module."""
 
     def __init__(self, settings: EngineSettings) -> None:

@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 from fieldkit.channel.model import MIN_RANGE_M
-from fieldkit.engine.belief.intensity.belief import Unresolved
-from fieldkit.engine.likelihood.levels import LevelsModel
+from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.planning import path_loops
+from fieldkit.engine.planning.base import HearingModel
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray
 
@@ -42,7 +42,7 @@ class Ledger:
     def __init__(
         self,
         settings: EngineSettings,
-        model: LevelsModel,
+        model: HearingModel,
         ground: FloatArray,
         square_m: float,
         unresolved: list[Unresolved],

@@ -12,7 +12,7 @@ robots cannot crawl. With more than one robot ridges are divided as PRWA divides
 import numpy as np
 
 from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.base import Planner, Situation
 from fieldkit.engine.planning.prwa import assign, cluster_ridges
 from fieldkit.engine.planning.ridges import Ridge, find_ridges
 from fieldkit.engine.planning.schedule import ridge_schedule
@@ -31,7 +31,7 @@ def level_of(presence: FloatArray, *, capped: bool = True) -> float:
     return min(level, 0.5 * float(presence.max())) if capped else level
 
 
-class RwaPlanner:
+class RwaPlanner(Planner):
     """See the module."""
 
     def __init__(self, settings: EngineSettings) -> None:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.base import Planner, Situation
 from fieldkit.engine.planning.steering import Steering
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
@@ -27,7 +27,7 @@ def typical_range_m(settings: EngineSettings) -> float:
     return float(np.median(settings.antenna.nominal_range_m(np.array(settings.power_levels_db))))
 
 
-class PairRandomWalk:
+class PairRandomWalk(Planner):
     """Each team walks at random as one, its robots one typical range abreast."""
 
     alone = False
@@ -71,7 +71,7 @@ def random_corners(settings: EngineSettings, here_m: FloatArray, rng: np.random.
     return np.array(corners)
 
 
-class PairPatrol:
+class PairPatrol(Planner):
     """Teams drive one fixed route of lanes over the whole field, spread evenly along it."""
 
     alone = False

@@ -8,11 +8,11 @@ is still there, unheard after exposure E, with weight (b / (b + E))^a.
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Summary
 from fieldkit.engine.belief.intensity.mixture import Mixture
 from fieldkit.engine.settings import EngineSettings
@@ -25,23 +25,6 @@ SETTLED = 0.995
 """A find that is so probably within one cell of its place needs no further look."""
 MAX_SQUARED_RESIDUAL = 2.5
 """Mean squared standardised residual above which readings do not look like what the antenna file predicts."""
-
-
-@dataclass(frozen=True, slots=True)
-class Unresolved:
-    """What a planner needs to know of a candidate: samples of where and how strong it may be."""
-
-    ident: int
-    points_m: FloatArray
-    """(k, 2) equally likely places."""
-    level: FloatArray
-    """(k,) index of the fixed power hypothesis there."""
-    cov_m2: FloatArray
-    rate_hz: float
-    receptions: float
-    p_here: float
-    state: str
-    may_be_two: bool
 
 
 class IntensityBelief:

@@ -1,0 +1,1 @@
+"""A radio, a belief, a planner and a command for fieldkit."""
