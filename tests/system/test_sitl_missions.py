@@ -7,19 +7,23 @@ import asyncio
 import json
 import math
 import os
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "contract"))
-from benches import FRAME, free_udp_port
+from benches import FRAME, around, free_udp_port, until
 from sitl import READY_S, Simulated, simulators
 
+from drivers.mavlink.fleet import open_link
 from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
 from fieldkit.channel.model import Antenna
+from fieldkit.clock import RealClock
 from fieldkit.messages import Operator, Pose, VehicleState
 from fieldkit.recording.reader import Recording, open_recording
 
@@ -81,7 +85,8 @@ forward = "127.0.0.1:{copy}"
 def mission_file(folder: Path, kinds: Sequence[str], port: int, copy: int, extra: str = "") -> Path:
     count = len(kinds)
     (folder / "antenna.toml").write_text(dump_antenna(AntennaFile(ANTENNA)))
-    teams = "\n".join(f'[[team]]\nrobots = ["r{k}", "r{k + 1}"]' for k in range(1, count + 1, 2))
+    names = [f"r{k}" for k in range(1, count + 1)]
+    teams = "\n".join(f"[[team]]\nrobots = {json.dumps(names[k : k + 2])}" for k in range(0, count, 2))
     robots = "\n".join(
         ROBOT.format(
             number=k,
@@ -117,8 +122,11 @@ async def fieldkit(folder: Path, *arguments: str) -> tuple[int, str]:
     return process.returncode or 0, out.decode()
 
 
-async def fly(folder: Path, kinds: Sequence[str], extra: str = "") -> tuple[dict[str, Any], Recording]:
-    """Preflight until it is green, then the mission; its result and its recording."""
+@asynccontextmanager
+async def field(
+    folder: Path, kinds: Sequence[str], extra: str = "", **changed: float
+) -> AsyncIterator[tuple[Path, int]]:
+    """Simulators and emulated radios for a mission file; its path, and the port that the vehicles send to."""
     port, copy = free_udp_port(), free_udp_port()
     path = mission_file(folder, kinds, port, copy, extra)
     places = [((k + 0.5) * SIZE_M / len(kinds), 8.0) for k in range(len(kinds))]
@@ -127,37 +135,41 @@ async def fly(folder: Path, kinds: Sequence[str], extra: str = "") -> tuple[dict
         for number, (kind, place) in enumerate(zip(kinds, places, strict=True), start=1)
     ]
     named = [word for east_m, north_m in HIDDEN_M for word in ("--source", f"{east_m},{north_m}")]
-    async with simulators(vehicles, folder, port, WP_SPEED=LIMIT_M_S, WPNAV_SPEED=100 * LIMIT_M_S):
+    speeds = {"WP_SPEED": LIMIT_M_S, "WPNAV_SPEED": 100 * LIMIT_M_S}
+    async with simulators(vehicles, folder, port, **(speeds | changed)):
+        telemetry = f"udpin:127.0.0.1:{copy}"
         radios = asyncio.create_task(
-            fieldkit(
-                folder,
-                "emulate",
-                "radios",
-                "--mission",
-                str(path),
-                "--telemetry",
-                f"udpin:127.0.0.1:{copy}",
-                *named,
-            )
+            fieldkit(folder, "emulate", "radios", "--mission", str(path), "--telemetry", telemetry, *named)
         )
         try:
-            await until_green(folder, path)
-            code, out = await fieldkit(folder, "run", str(path), "--no-page", "--json")
+            yield path, port
         finally:
             radios.cancel()
             await asyncio.wait({radios})
+
+
+async def fly(folder: Path, kinds: Sequence[str], extra: str = "") -> tuple[dict[str, Any], Recording]:
+    """Preflight until it is green, then the mission; its result and its recording."""
+    async with field(folder, kinds, extra) as (path, _):
+        await until_green(folder, path)
+        code, out = await fieldkit(folder, "run", str(path), "--no-page", "--json")
     assert code == 0, (out, (folder / "stderr.txt").read_text()[-2000:])
     result = json.loads(out)
     return result, open_recording(Path(folder / result["recording"]))
+
+
+async def checks_of(folder: Path, path: Path) -> list[dict[str, Any]]:
+    """What `fieldkit preflight` says."""
+    _, out = await fieldkit(folder, "preflight", str(path), "--json", "--listen-s", "5")
+    checks: list[dict[str, Any]] = json.loads(out)["checks"]
+    return checks
 
 
 async def until_green(folder: Path, path: Path) -> None:
     """Vehicles set up as docs/hardware.md says are green once their EKF is; nothing else is waited for."""
     checks: list[dict[str, Any]] = []
     for _ in range(int(READY_S / 10)):
-        _, out = await fieldkit(folder, "preflight", str(path), "--json", "--listen-s", "5")
-        found = json.loads(out)
-        checks = found["checks"] if isinstance(found, dict) else found
+        checks = await checks_of(folder, path)
         if not [check for check in checks if check["level"] == "red"]:
             break
     unfit = [
@@ -168,6 +180,12 @@ async def until_green(folder: Path, path: Path) -> None:
         and check["name"] not in ("radio", "place")
     ]
     assert not unfit, unfit
+
+
+def recording_in(folder: Path) -> Path:
+    """The one recording there is."""
+    (log,) = folder.glob("runs/*/mission.mcap")
+    return log
 
 
 def judge(result: dict[str, Any], recording: Recording, name: str) -> None:
@@ -212,3 +230,49 @@ async def test_two_rovers_and_two_copters_find_what_is_hidden(tmp_path: Path) ->
             heights[step.event.robot].append(step.event.up_m)
     assert min(max(each) for each in heights.values()) > 2.0, "copters fly"
     assert all(each[-1] < 1.5 for each in heights.values()), "and are down again at the end"
+
+
+async def test_a_killed_mission_leaves_every_vehicle_held_and_is_resumed(tmp_path: Path) -> None:
+    """kill -9 in mid-mission: the vehicles' own failsafe holds them, the recording opens, the mission goes on."""
+    async with field(tmp_path, ["rover"] * 2) as (path, port):
+        await until_green(tmp_path, path)
+        arguments = [sys.executable, "-m", "fieldkit", "run", str(path), "--no-page"]
+        quiet = asyncio.subprocess.DEVNULL
+        running = await asyncio.create_subprocess_exec(
+            *arguments, cwd=tmp_path, stdin=quiet, stdout=quiet, stderr=quiet
+        )
+        await asyncio.sleep(60.0)
+        running.kill()
+        await running.wait()
+        robots = {"r1": {"system_id": 1}, "r2": {"system_id": 2}}
+        async with open_link(f"udpin:127.0.0.1:{port}", robots, around(RealClock())) as link:
+            vehicles = [steered.vehicle for steered in link._steered.values()]
+            await until(lambda: all(vehicle.actual_mode == "hold" for vehicle in vehicles), 20.0)
+        log = recording_in(tmp_path)
+        found = len(list(open_recording(log).steps()))
+        assert found > 100
+        resumed = await asyncio.create_subprocess_exec(
+            *arguments[:4], "--resume", str(log), "--no-page", "--json", cwd=tmp_path, stdin=quiet,
+            stdout=asyncio.subprocess.PIPE, stderr=(tmp_path / "resumed.txt").open("w"),
+        )  # fmt: skip
+        await asyncio.sleep(60.0)
+        resumed.send_signal(signal.SIGINT)
+        out, _ = await resumed.communicate()
+    result = json.loads(out)
+    assert result["events"] > found + 100, (tmp_path / "resumed.txt").read_text()[-2000:]
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"FS_ACTION": 0}, "FS_ACTION is 0"),
+        ({"FS_TIMEOUT": 60}, "waits 65 s"),
+        ({"FENCE_ACTION": 0, "FENCE_TYPE": 0}, "FENCE_ACTION is 0"),
+    ],
+)
+async def test_a_vehicle_that_would_drive_on_is_red(
+    tmp_path: Path, changed: dict[str, float], words: str
+) -> None:
+    async with field(tmp_path, ["rover"], **changed) as (path, _):
+        red = [check for check in await checks_of(tmp_path, path) if check["level"] == "red"]
+    assert any(words in check["found"] for check in red), red
