@@ -125,7 +125,7 @@ def test_an_unknown_heading_keeps_the_last_one():
     (pose,) = [
         x for x in vehicle.heard(position(200, hdg=65535), PEER, 0.3, 3 * 10**8) if isinstance(x, Pose)
     ]
-    assert pose.heading_deg == 90.0 and pose.up_m == 1.5
+    assert pose.heading_deg == 90.0 and pose.up_m == 0.0
 
 
 def test_state_comes_on_change_and_once_a_second():
