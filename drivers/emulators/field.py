@@ -423,8 +423,9 @@ class _Field:
         bodies = [robot.autopilot.body for robot in robots]
         way_m = np.array([(source.east_m - b.east_m, source.north_m - b.north_m) for b in bodies])
         off_front_deg = np.degrees(np.arctan2(*way_m.T)) - np.array([b.heading_deg for b in bodies])
+        range_m = np.hypot(np.hypot(*way_m.T), [body.up_m for body in bodies])
         rss_dbm = sample_rss_dbm(
-            self._spec.antenna, np.hypot(*way_m.T), source.power_db, self._channel_rng, off_front_deg
+            self._spec.antenna, range_m, source.power_db, self._channel_rng, off_front_deg
         )
         payload = number.to_bytes(4, "big")
         for robot, strength in zip(robots, rss_dbm, strict=True):

@@ -56,7 +56,7 @@ found_probability = 0.9
 planning_period_s = 20.0
 pose_sigma_m = 0.5
 [end]
-max_duration_s = 600.0
+max_duration_s = 900.0
 sources_found = 3
 [safety]
 fence_margin_m = 5.0
@@ -93,7 +93,7 @@ def mission_file(folder: Path, kinds: Sequence[str], port: int, copy: int, extra
             radio=free_udp_port(),
             port=port,
             copy=copy,
-            flies="flies = true\n" if kind == "copter" else "",
+            flies=f"altitude_m = {3.0 * (k - 2):.1f}\n" if kind == "copter" else "",
         )
         for k, kind in enumerate(kinds, start=1)
     )
