@@ -106,7 +106,7 @@ class Runner:
             self.setup.links, self.setup.clock, self._note, self.mission.safety.altitude_m
         )
         self.fences = VehicleFences(self.mission, self.dispatcher.link_of, self._note)
-        self.signals = StopSignals(self._signalled, self._signalled_again, self.dispatcher.lose_patience)
+        self.signals = StopSignals(self._signalled, self._signalled_again, self._signalled_last)
         self.unconfirmed: list[str] = []
         """Robots that had not shown that they hold when the mission was left."""
         self._doing: dict[str, str] = {}
@@ -252,8 +252,16 @@ class Runner:
         self.put(Operator(self.setup.clock.now_ns(), "end", None, f"interrupted ({name})"))
 
     def _signalled_again(self) -> None:
-        names = ", ".join(self.dispatcher.unconfirmed()) or "nobody; closing the recording"
-        self._say(f"still waiting for: {names}. Once more leaves at once")
+        waits = [f"{name} to hold" for name in self.dispatcher.unconfirmed()]
+        waits += [f"{name} to land" for name in (self._aloft() if self._over_reason else ())]
+        self._say(
+            f"still waiting for {', '.join(waits) or 'the recording to close'}. Once more leaves at once"
+        )
+
+    def _signalled_last(self) -> None:
+        """Whoever is not home or has not shown that it holds is named, and left."""
+        self.dispatcher.lose_patience()
+        self.put(Operator(self.setup.clock.now_ns(), "end", None, "left at once"))
 
     def _say(self, text: str) -> None:
         logger.warning(text)
