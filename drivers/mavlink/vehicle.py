@@ -36,6 +36,19 @@ Happening = Pose | VehicleState
 class Vehicle:
     """One vehicle as heard on one link."""
 
+    battery_v: float | None = None
+    speed_m_s: float | None = None
+    """Over ground, as measured."""
+    flies = False
+    on_ground: bool | None = None
+    """None where it does not say."""
+    up_m: float | None = None
+    """Height above its home."""
+    home_alt_m: float | None = None
+    """Its home's height above the sea."""
+    place: tuple[int, int] | None = None
+    """Where it says it is, degrees times 1e7."""
+
     def __init__(self, robot: str, system_id: int, frame: FieldFrame, sigma_m: float = 0.0) -> None:
         self.robot = robot
         self.system_id = system_id
@@ -49,18 +62,6 @@ class Vehicle:
         self.heartbeats = 0
         self.position_s = -math.inf
         self.battery_pct: float | None = None
-        self.battery_v: float | None = None
-        self.speed_m_s: float | None = None
-        """Over ground, as measured."""
-        self.flies = False
-        self.on_ground: bool | None = None
-        """None where it does not say."""
-        self.up_m: float | None = None
-        """Height above its home."""
-        self.home_alt_m: float | None = None
-        """Its home's height above the sea."""
-        self.place: tuple[int, int] | None = None
-        """Where it says it is, degrees times 1e7."""
         self.healthy_to_arm: bool | None = None
         self.gps_fix: int | None = None
         self.gps_eph: int | None = None
