@@ -107,6 +107,22 @@ def car_sized(east_m: float, north_m: float, heading_deg: float = 0.0) -> Car:
     )
 
 
+def car_for(east_m: float, north_m: float, heading_deg: float, max_speed_m_s: float) -> Car:
+    """A rover as large as its speed tells: at 0.4 m/s one for a room, from 1.5 m/s on about a simulator's.
+
+    What turns wide, rests off its way-point and rolls on grows with the speed, as it does from robot to robot.
+    """
+    return Car(
+        east_m,
+        north_m,
+        heading_deg,
+        max_speed_m_s=max_speed_m_s,
+        turn_radius_m=min(1.8, 0.5 * max_speed_m_s),
+        rest_m=min(0.4, 0.2 * max_speed_m_s),
+        coast_s=min(1.2, max(0.4, 0.8 * max_speed_m_s)),
+    )
+
+
 @dataclass(slots=True)
 class Copter:
     """A copter: flies straight to a point at a height, brakes, and comes down where it is told to."""

@@ -22,7 +22,7 @@ from typing import Any, Self
 import numpy as np
 
 from drivers.emulators.autopilot import Autopilot
-from drivers.emulators.bodies import Car, Copter
+from drivers.emulators.bodies import Car, Copter, car_for
 from drivers.emulators.faults import FAULTS
 from drivers.emulators.profiles import COPTER
 from drivers.emulators.profiles import PROFILES as FIRMWARES
@@ -304,8 +304,10 @@ class _Field:
     def _make(self, robot: EmulatedRobot, rng: np.random.Generator) -> _Robot:
         spec = self._spec
         firmware = FIRMWARES[robot.firmware]
-        kind = Copter if firmware is COPTER else Car
-        body = kind(robot.east_m, robot.north_m, robot.heading_deg, max_speed_m_s=spec.max_speed_m_s)
+        place = (robot.east_m, robot.north_m, robot.heading_deg)
+        body: Car | Copter = car_for(*place, spec.max_speed_m_s)
+        if firmware is COPTER:
+            body = Copter(*place, max_speed_m_s=spec.max_speed_m_s)
         failsafe_s = max(6.5, spec.clock.rate) if spec.gcs_failsafe_s is None else spec.gcs_failsafe_s
         autopilot = make_autopilot(
             firmware,

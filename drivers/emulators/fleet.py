@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from drivers.emulators.bodies import Car
+from drivers.emulators.bodies import car_for
 from drivers.emulators.rover import GUIDED, HOLD, MANUAL, RoverAutopilot
 from drivers.mavlink.codec import Packer, mavlink
 from drivers.mavlink.signing import Signer
@@ -200,7 +200,7 @@ class EmulatedFleet:
         loop = asyncio.get_running_loop()
         for number, (name, (east_m, north_m)) in enumerate(self.spec.starts_m.items(), start=1):
             rng = np.random.default_rng([self.spec.seed, number])
-            body = Car(east_m, north_m, max_speed_m_s=self.spec.max_speed_m_s)
+            body = car_for(east_m, north_m, 0.0, self.spec.max_speed_m_s)
             key = self.spec.signing_key
             signer = None if key is None else Signer(key, self.clock.now_ns, link_id=number)
             autopilot = RoverAutopilot(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benches import FRAME
 
-from drivers.emulators.bodies import Car, car_sized
+from drivers.emulators.bodies import Car, car_for, car_sized
 from drivers.emulators.rover import GUIDED, HOLD, POSITION_ONLY, RTL, RoverAutopilot
 from drivers.mavlink.codec import Packer, Parser, mavlink
 
@@ -223,6 +223,12 @@ def test_a_way_point_inside_its_turning_circle_may_end_further_away_than_it_bega
     bench.run(30.0)
     assert np.hypot(at(bench)[0] - 1.5, at(bench)[1] + 0.5) > 1.0
     assert bench.rover.body.speed_m_s == 0.0
+
+
+def test_a_rover_is_as_large_as_its_speed_tells():
+    small, large = car_for(0.0, 0.0, 0.0, 0.4), car_for(0.0, 0.0, 0.0, 1.5)
+    for number in ("turn_radius_m", "rest_m", "coast_s"):
+        assert getattr(small, number) < getattr(large, number) <= getattr(car_sized(0.0, 0.0), number)
 
 
 def test_told_to_hold_it_rolls_on():

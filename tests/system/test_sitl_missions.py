@@ -62,11 +62,10 @@ sources_found = 3
 fence_margin_m = 5.0
 max_speed_m_s = {limit}
 min_separation_m = 5.0
-overrun_s = 10.0
+overrun_s = {overrun_s}
 stall_s = 30.0
 vehicle_fence = true
 vehicle_fence_beyond_m = 8.0
-{extra}
 {teams}
 {robots}
 """
@@ -82,7 +81,7 @@ forward = "127.0.0.1:{copy}"
 """
 
 
-def mission_file(folder: Path, kinds: Sequence[str], port: int, copy: int, extra: str = "") -> Path:
+def mission_file(folder: Path, kinds: Sequence[str], port: int, copy: int, overrun_s: float = 10.0) -> Path:
     count = len(kinds)
     (folder / "antenna.toml").write_text(dump_antenna(AntennaFile(ANTENNA)))
     names = [f"r{k}" for k in range(1, count + 1)]
@@ -100,8 +99,8 @@ def mission_file(folder: Path, kinds: Sequence[str], port: int, copy: int, extra
     path = folder / "mission.toml"
     path.write_text(
         MISSION.format(
-            lat=FRAME.origin_lat_deg, lon=FRAME.origin_lon_deg, size=SIZE_M, limit=LIMIT_M_S, extra=extra, teams=teams,
-            robots=robots,
+            lat=FRAME.origin_lat_deg, lon=FRAME.origin_lon_deg, size=SIZE_M, limit=LIMIT_M_S, overrun_s=overrun_s,
+            teams=teams, robots=robots,
         )
     )  # fmt: skip
     return path
@@ -123,12 +122,10 @@ async def fieldkit(folder: Path, *arguments: str) -> tuple[int, str]:
 
 
 @asynccontextmanager
-async def field(
-    folder: Path, kinds: Sequence[str], extra: str = "", **changed: float
-) -> AsyncIterator[tuple[Path, int]]:
+async def field(folder: Path, kinds: Sequence[str], **changed: float) -> AsyncIterator[tuple[Path, int]]:
     """Simulators and emulated radios for a mission file; its path, and the port that the vehicles send to."""
     port, copy = free_udp_port(), free_udp_port()
-    path = mission_file(folder, kinds, port, copy, extra)
+    path = mission_file(folder, kinds, port, copy)
     places = [((k + 0.5) * SIZE_M / len(kinds), 8.0) for k in range(len(kinds))]
     vehicles = [
         Simulated(kind, number, *FRAME.to_geodetic(*place)[:2])
@@ -148,9 +145,9 @@ async def field(
             await asyncio.wait({radios})
 
 
-async def fly(folder: Path, kinds: Sequence[str], extra: str = "") -> tuple[dict[str, Any], Recording]:
+async def fly(folder: Path, kinds: Sequence[str]) -> tuple[dict[str, Any], Recording]:
     """Preflight until it is green, then the mission; its result and its recording."""
-    async with field(folder, kinds, extra) as (path, _):
+    async with field(folder, kinds) as (path, _):
         await until_green(folder, path)
         code, out = await fieldkit(folder, "run", str(path), "--no-page", "--json")
     assert code == 0, (out, (folder / "stderr.txt").read_text()[-2000:])
