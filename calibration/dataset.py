@@ -8,6 +8,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,7 @@ class Readings:
     def keep(self, rows: NDArray[np.bool_]) -> "Readings":
         """Only some rows, (n,) True where kept."""
 
-        def cut(array: NDArray | None) -> NDArray | None:
+        def cut(array: NDArray[Any] | None) -> NDArray[Any] | None:
             return None if array is None else array[rows]
 
         return replace(
@@ -82,7 +83,7 @@ class Readings:
 def from_arrays(
     distance_m: FloatArray,
     rss_dbm: FloatArray,
-    place: NDArray | None = None,
+    place: NDArray[Any] | None = None,
     *,
     name: str = "arrays",
     **more: object,

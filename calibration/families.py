@@ -45,7 +45,8 @@ def spline(knots: int = SPLINE_KNOTS) -> Basis:
 
     def basis(heading_deg: FloatArray) -> FloatArray:
         values = through(np.asarray(heading_deg) % 360.0)
-        return values[..., :-1] - values[..., -1:]
+        result: FloatArray = values[..., :-1] - values[..., -1:]
+        return result
 
     return basis
 

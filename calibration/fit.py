@@ -86,7 +86,8 @@ class FitResult:
 
     def mean_dbm(self, distance_m: FloatArray) -> FloatArray:
         """Mean level at a distance from the calibrated transmitter, for the first receiver."""
-        return self.theta[0] - 10.0 * self.theta[1] * np.log10(distance_m)
+        result: FloatArray = self.theta[0] - 10.0 * self.theta[1] * np.log10(distance_m)
+        return result
 
 
 def fit(readings: Readings, options: Options | None = None) -> FitResult:

@@ -130,7 +130,8 @@ def _with_error(result: FitResult, best: _Candidate, receiver_offsets: bool) -> 
 
     def gain_sigma(heading_deg: FloatArray) -> FloatArray:
         by = slope(np.asarray(heading_deg, dtype=float))
-        return np.sqrt(np.maximum(np.einsum("...i,ij,...j", by, of_pattern, by), 0.0))
+        result: FloatArray = np.sqrt(np.maximum(np.einsum("...i,ij,...j", by, of_pattern, by), 0.0))
+        return result
 
     return wider, gain_sigma
 

@@ -41,7 +41,11 @@ class Eye:
         across /= np.linalg.norm(across)
         down = np.cross(ahead, across)
         seen = (np.asarray(points_m, dtype=float) - place) @ np.column_stack([across, down, ahead])
-        return seen[:, :2] / seen[:, 2:] * self.focal_px + [self.width / 2 - 0.5, self.height / 2 - 0.5]
+        result: FloatArray = seen[:, :2] / seen[:, 2:] * self.focal_px + [
+            self.width / 2 - 0.5,
+            self.height / 2 - 0.5,
+        ]
+        return result
 
 
 Course = Callable[[float], tuple[float, float, float]]

@@ -168,4 +168,7 @@ class CopterAutopilot(Autopilot):
         return round(self.body.up_m * 1e3)
 
     def _landed_state(self) -> int:
-        return mavlink.MAV_LANDED_STATE_ON_GROUND if self.body.on_ground else mavlink.MAV_LANDED_STATE_IN_AIR
+        result: int = (
+            mavlink.MAV_LANDED_STATE_ON_GROUND if self.body.on_ground else mavlink.MAV_LANDED_STATE_IN_AIR
+        )
+        return result

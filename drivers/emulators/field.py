@@ -110,15 +110,18 @@ class RunningField:
 
     def truth(self) -> dict[str, tuple[float, float, float]]:
         """Robot to where it really is now: east, north (m), heading (deg)."""
-        return self._ask("truth")
+        result: dict[str, tuple[float, float, float]] = self._ask("truth")
+        return result
 
     def altitude(self) -> dict[str, float]:
         """Robot to its height above the ground now (m)."""
-        return self._ask("altitude")
+        result: dict[str, float] = self._ask("altitude")
+        return result
 
     def counts(self) -> dict[str, Any]:
         """Transmissions per source; per robot: frames on its wire, lost ones, bytes from its host, mode."""
-        return self._ask("counts")
+        result: dict[str, Any] = self._ask("counts")
+        return result
 
     def _ask(self, *question: Any) -> Any:
         with self._lock:

@@ -158,7 +158,8 @@ class Telemetry:
         )
 
     def _landed_state(self) -> int:
-        return mavlink.MAV_LANDED_STATE_UNDEFINED
+        result: int = mavlink.MAV_LANDED_STATE_UNDEFINED
+        return result
 
     def _extended_state(self, _: float) -> Message:
         return mavlink.MAVLink_extended_sys_state_message(0, self._landed_state())

@@ -7,11 +7,13 @@ the whole process behind one's back. The ardupilotmega dialect contains common, 
 from collections.abc import Iterator
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import ardupilotmega
 
 from drivers.mavlink.signing import SIGNATURE_SIZE, Signer
 from drivers.mavlink.wire import V1, V2, checksum
 
+mavlink: Any = ardupilotmega
+"""The dialect: every module of ours takes it from here."""
 AUTOPILOT = 1
 """Component id of a vehicle's autopilot (MAV_COMP_ID_AUTOPILOT1)."""
 GROUND_STATION = mavlink.MAV_COMP_ID_MISSIONPLANNER

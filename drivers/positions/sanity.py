@@ -49,7 +49,8 @@ def _metres(spots: Sequence[Spot], geodetic: bool) -> FloatArray:
     place = np.array([(spot.first, spot.second) for spot in spots], dtype=float).reshape(-1, 2)
     if not geodetic:
         return place
-    return place * DEGREE_M * np.array([1.0, np.cos(np.radians(np.median(place[:, 0])))])
+    result: FloatArray = place * DEGREE_M * np.array([1.0, np.cos(np.radians(np.median(place[:, 0])))])
+    return result
 
 
 def _check_axes(spots: Sequence[Spot]) -> None:

@@ -17,6 +17,7 @@ from fieldkit.channel.spread import ChannelSpread, assumed
 from fieldkit.engine.association.packets import PacketLog, packets_of
 from fieldkit.engine.location import survey as engine
 from fieldkit.engine.location.ground import Ground, polygon
+from fieldkit.engine.location.one_source import Radio
 from fieldkit.engine.location.survey import Found
 from fieldkit.errors import DataError
 from fieldkit.geo import FieldFrame
@@ -147,7 +148,7 @@ def _clock_notes(
     log: PacketLog,
     readings: list[RssReading],
     poses: list[Pose],
-    radio: engine.Radio,
+    radio: Radio,
     ground: Ground,
     settings: Settings,
 ) -> list[str]:

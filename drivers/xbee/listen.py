@@ -38,7 +38,7 @@ REPLY_TIMEOUT_S = 1.0
 """A module answers an AT command in milliseconds; at 9600 baud the reply itself takes 30 ms."""
 
 
-class FrameInterface(XBeeCommunicationInterface):
+class FrameInterface(XBeeCommunicationInterface):  # type: ignore[misc]  # the library is not typed
     """digi-xbee's view of a `ByteLink`. Each frame carries the time at which its first byte was read."""
 
     def __init__(
@@ -142,7 +142,7 @@ class _AtOnce(list[Any]):
             function(packet)
 
 
-class ListenOnly(XBeeDevice):
+class ListenOnly(XBeeDevice):  # type: ignore[misc]  # the library is not typed
     """An XBee that is asked for its settings while opening, and only listened to from then on."""
 
     def __init__(self, interface: FrameInterface) -> None:

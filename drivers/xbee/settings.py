@@ -50,7 +50,8 @@ class ModuleSettings:
     @property
     def is_mesh(self) -> bool:
         """Packets may come over relays, whose strength is then what DB says."""
-        return self.protocol != XBeeProtocol.RAW_802_15_4
+        result: bool = self.protocol != XBeeProtocol.RAW_802_15_4
+        return result
 
     @property
     def saturation_dbm(self) -> float:

@@ -108,7 +108,8 @@ def predictive_sigma_db(
     if heading_deg is not None and "gain_sigma_db" in file.pattern:
         error = table_db(heading_deg, file.pattern["heading_deg"], file.pattern["gain_sigma_db"])
         variance = variance + error**2
-    return np.sqrt(variance)
+    result: FloatArray = np.sqrt(variance)
+    return result
 
 
 def with_pattern(file: AntennaFile) -> Antenna:

@@ -38,7 +38,8 @@ class Antenna:
         """Mean reading at `range_m` from a source `power_db` above the calibrated transmitter."""
         clamped = np.maximum(np.asarray(range_m, dtype=float), MIN_RANGE_M)
         power_dbm = self.power_at_1m_dbm + np.asarray(power_db, dtype=float)
-        return power_dbm - 10.0 * self.path_loss_exponent * np.log10(clamped)
+        result: FloatArray = power_dbm - 10.0 * self.path_loss_exponent * np.log10(clamped)
+        return result
 
     def gain_db(self, off_front_deg: ArrayLike, range_m: ArrayLike = np.inf) -> FloatArray:
         """Gain towards `off_front_deg`, clockwise from the antenna's front; 0 all round without a pattern."""

@@ -46,7 +46,8 @@ def dipole_gain_db(
 def table_db(heading_deg: ArrayLike, table_heading_deg: ArrayLike, table_value_db: ArrayLike) -> FloatArray:
     """A table (k,) over headings, linear in between and going on round the circle."""
     at, value = np.asarray(table_heading_deg, dtype=float), np.asarray(table_value_db, dtype=float)
-    return np.interp(np.asarray(heading_deg, dtype=float), at, value, period=360.0)
+    result: FloatArray = np.interp(np.asarray(heading_deg, dtype=float), at, value, period=360.0)
+    return result
 
 
 def _turned(heading_deg: ArrayLike, front_deg: float) -> FloatArray:

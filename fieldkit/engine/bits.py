@@ -38,4 +38,5 @@ def fast_log(x: float) -> float:
     s = (m - _SQRT_2) / (m + _SQRT_2)
     s2 = s * s
     tail = s2 * (1.0 / 3.0 + s2 * (1.0 / 5.0 + s2 * (1.0 / 7.0 + s2 * (1.0 / 9.0 + s2 * (1.0 / 11.0)))))
-    return exponent * _LOG_2 + 2.0 * (s + s * tail)
+    result: float = exponent * _LOG_2 + 2.0 * (s + s * tail)
+    return result

@@ -99,7 +99,8 @@ def is_whole(path: Path) -> bool:
         except _DAMAGE:
             return False
         data_crc = _crc_of(stream, footer.summary_start - _DATA_END_SIZE)
-        return zlib.crc32(summary) == footer.summary_crc and data_crc == end.data_section_crc
+        result: bool = zlib.crc32(summary) == footer.summary_crc and data_crc == end.data_section_crc
+        return result
 
 
 def walk(

@@ -121,7 +121,7 @@ class _Copy:
         if metadata is not None:
             name, values = metadata
             self._out.add_metadata(name, values | {"missing": "; ".join(self.problems)})
-        self._out.finish()
+        self._out.finish()  # type: ignore[no-untyped-call]
 
     def _begin(self, found: dict[str, Any], channel: int, at_ns: int) -> None:
         """The header goes first, in a chunk of its own."""

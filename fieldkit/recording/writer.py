@@ -70,7 +70,7 @@ def close_chunk(writer: Writer) -> None:
 
     The one place that needs the library's chunk finaliser (public as `flush` since mcap 1.6).
     """
-    writer.flush()
+    writer.flush()  # type: ignore[no-untyped-call]
 
 
 class RecordingWriter:
@@ -352,7 +352,7 @@ class RecordingWriter:
         self._add(BY_KIND[Note].name, codec.encode(Note("warning", said)), 0, self._now_ns, self._now_ns)
 
     def _finish(self) -> None:
-        self._mcap.finish()
+        self._mcap.finish()  # type: ignore[no-untyped-call]
         self._stream.flush()
         self._disk.wait()
         os.fsync(self._stream.fileno())

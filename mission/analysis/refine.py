@@ -96,7 +96,8 @@ def log_likelihood(
     at_least = log_ndtr(-(heard.rss_dbm - 0.5 - mean) / sigma)
     silent = np.log(PACKET_LOSS + (1.0 - PACKET_LOSS) * ndtr((antenna.threshold_dbm + 0.5 - mean) / sigma))
     each = np.where(np.isnan(heard.rss_dbm), silent, np.where(heard.saturated, at_least, level))
-    return np.where(heard.listened, each, 0.0).sum(axis=1)
+    result: FloatArray = np.where(heard.listened, each, 0.0).sum(axis=1)
+    return result
 
 
 def _at(x: FloatArray, heard: Heard, antenna: Antenna, place_sigma_m: float) -> FloatArray:

@@ -160,7 +160,7 @@ def stone_soup(engine: EngineSettings) -> Method:
 
     radio = engine.antenna
 
-    class Rss(MeasurementModel):
+    class Rss(MeasurementModel):  # type: ignore[misc]  # the library is not typed
         """Readings of the robots that heard, silence of those that did not."""
 
         ndim_state, ndim_meas, mapping = 3, 1, (0, 1, 2)

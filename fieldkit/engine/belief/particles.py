@@ -53,7 +53,8 @@ class ParticleFilter:
 
     @property
     def sources(self) -> int:
-        return self.place.shape[1]
+        result: int = self.place.shape[1]
+        return result
 
     def update(self, robot: tuple[float, float, float], z: float, p: float, q: float) -> None:
         """Take in a reading z (linear) of a robot at x, y and heading (counter-clockwise from x); p, q as in eq 12."""

@@ -149,7 +149,8 @@ class SpogBelief:
 
     def activity(self) -> FloatArray:
         """(n_north, n_east) the prior of the next transmission, P(C_i^1) before it is heard."""
-        return np.exp(self.log_prior).reshape(self.grid.shape)
+        result: FloatArray = np.exp(self.log_prior).reshape(self.grid.shape)
+        return result
 
     def sources(self) -> list[SourceEstimate]:
         """The 8-connected clusters of cells with P(C_i) > p_t, which the papers report cell by cell."""

@@ -128,7 +128,8 @@ def packet_shares(p_bc: float, size: int) -> tuple[float, float]:
 def dipole_gain(off_front_rad: ArrayLike) -> FloatArray:
     """Linear gain of the log-periodic array (eq 3)."""
     cosine = np.cos(np.asarray(off_front_rad, dtype=float))
-    return np.where(cosine >= 0.0, FRONT * cosine, -BACK * cosine)
+    result: FloatArray = np.where(cosine >= 0.0, FRONT * cosine, -BACK * cosine)
+    return result
 
 
 def collision_cdf(y: ArrayLike, z_i: float, z_j: float) -> FloatArray:

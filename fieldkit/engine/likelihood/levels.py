@@ -105,7 +105,8 @@ class LevelsModel:
         """log P(a robot hears a packet) at `range_m` from a source of power `level_dbm` at 1 m."""
         mean = level_dbm - self.ten_beta * np.log10(np.maximum(range_m, MIN_RANGE_M))
         margin = (mean - self.antenna.threshold_dbm - 0.5) / self.antenna.sigma_db
-        return np.log1p(-PACKET_LOSS) + log_ndtr(margin)
+        result: FloatArray = np.log1p(-PACKET_LOSS) + log_ndtr(margin)
+        return result
 
     def _reach_m(self, strongest_db: float) -> float:
         margin_db = (
@@ -157,11 +158,12 @@ class LevelsModel:
     def spread_db(self, range_m: FloatArray) -> FloatArray:
         """Standard deviation of a reading at `range_m`: the antenna's sigma, the place's smear, the rounding."""
         smear = self.ten_beta / np.log(10.0) * self.place_sigma_m
-        return np.sqrt(
+        result: FloatArray = np.sqrt(
             self.antenna.sigma_db**2
             + smear**2 / (np.maximum(range_m, MIN_RANGE_M) ** 2 + self.place_sigma_m**2)
             + 1.0 / 12.0
         )
+        return result
 
     def marginal(self, log_likelihood: FloatArray) -> FloatArray:
         """(n,): the hypotheses of `log_likelihood` (h, n) averaged under their prior."""

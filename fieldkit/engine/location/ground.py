@@ -158,4 +158,7 @@ def polygon(posterior: Posterior, share: float) -> list[list[list[float]]]:
 
 def _lattice(posterior: Posterior) -> np.ndarray:
     """(c, 2) column and row of each cell."""
-    return np.rint((posterior.points_m - posterior.points_m.min(axis=0)) / posterior.cell_m).astype(int)
+    result: np.ndarray = np.rint(
+        (posterior.points_m - posterior.points_m.min(axis=0)) / posterior.cell_m
+    ).astype(int)
+    return result

@@ -141,7 +141,8 @@ def _distances(source: OneSource, ground: Ground) -> FloatArray:
     """Distances of the readings to where they were strongest: what is typical."""
     strongest = source.place_m[int(np.argmax(source.level_db))]
     away = np.sqrt(((source.place_m - strongest) ** 2).sum(axis=1))
-    return np.maximum(away, 0.01 * max(ground[2] - ground[0], ground[3] - ground[1]))
+    result: FloatArray = np.maximum(away, 0.01 * max(ground[2] - ground[0], ground[3] - ground[1]))
+    return result
 
 
 def _log_silent(

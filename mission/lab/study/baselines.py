@@ -87,7 +87,7 @@ def particle_filter(survey: Survey, antenna: Antenna, ground: Ground, up_m: floa
     from stonesoup.types.state import ParticleState, StateVector, StateVectors
     from stonesoup.updater.particle import ParticleUpdater
 
-    class Rss(MeasurementModel):
+    class Rss(MeasurementModel):  # type: ignore[misc]  # the library is not typed
         ndim_state, ndim_meas, mapping = 3, 1, (0, 1, 2)
         place: FloatArray
         level: float

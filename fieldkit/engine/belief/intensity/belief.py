@@ -200,7 +200,8 @@ class IntensityBelief:
         for candidate in self.candidates:
             cells, place = self._cells_of(candidate)
             log_absent[cells] += np.log1p(-np.minimum(place * min(1.0, candidate.receptions), 1.0 - 1e-9))
-        return (1.0 - np.exp(log_absent)).reshape(self.grid.shape)
+        result: FloatArray = (1.0 - np.exp(log_absent)).reshape(self.grid.shape)
+        return result
 
     def activity(self) -> FloatArray:
         """(n_north, n_east), sums to 1: expected rate of transmissions by cell."""
@@ -211,7 +212,8 @@ class IntensityBelief:
                 self.mixture.rate_prior_s + self.mixture.summary(candidate).exposure_s
             )
             rate[cells] += place * hz
-        return (rate / rate.sum()).reshape(self.grid.shape)
+        result: FloatArray = (rate / rate.sum()).reshape(self.grid.shape)
+        return result
 
     def probability_left(self) -> float:
         """P(at least one source of the reference rate not found): unheard ground, and candidates not yet found."""
@@ -227,7 +229,8 @@ class IntensityBelief:
 
     def ground_value(self) -> FloatArray:
         """(n_north, n_east) expected number of sources of the reference rate that are not among the candidates."""
-        return np.minimum(self.mixture.another_source().sum(axis=0), 0.5)
+        result: FloatArray = np.minimum(self.mixture.another_source().sum(axis=0), 0.5)
+        return result
 
     def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
         """What is worth another look: candidates not found, finds that may be two sources or lie a cell off.

@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import carray, njit, types
+from numba import carray, njit, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
 from fieldkit.messages import FloatArray, IntArray
@@ -33,7 +33,8 @@ def _exp(x: float) -> float:
     fine = (y - whole) * 256.0
     part = int(fine)
     r = (fine - part) / 256.0
-    return _WHOLE[whole] * _PARTS[part] * (1.0 - r * (1.0 - r * (0.5 - r / 6.0)))
+    result: float = _WHOLE[whole] * _PARTS[part] * (1.0 - r * (1.0 - r * (0.5 - r / 6.0)))
+    return result
 
 
 def address(array: FloatArray) -> int:
@@ -50,7 +51,7 @@ def _pointer_of(typing_context: Any, address: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
-    return types.CPointer(types.float64)(address), generate
+    return types.CPointer(types.float64)(address), generate  # type: ignore[no-untyped-call]
 
 
 _as_pointer: Any = intrinsic(_pointer_of)

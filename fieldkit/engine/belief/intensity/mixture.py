@@ -182,7 +182,8 @@ class Mixture:
         exposure = self.known_exposure_s().mean(axis=0)
         here = self.settings.expected_sources / self.grid.n_cells
         b = self.rate_prior_s
-        return here * (b / (b + exposure)) ** RATE_SHAPE * RATE_SHAPE / (b + exposure)
+        result: FloatArray = here * (b / (b + exposure)) ** RATE_SHAPE * RATE_SHAPE / (b + exposure)
+        return result
 
     def _log_unknown(self) -> FloatArray:
         """(open detections,) log intensity with which sources not yet known explain each."""
@@ -194,7 +195,8 @@ class Mixture:
             self.unknown_rate(),
             logs,
         )
-        return logs + np.array([s.log_scale for s in stored])
+        result: FloatArray = logs + np.array([s.log_scale for s in stored])
+        return result
 
     def sweep(self, sweeps: int) -> None:
         """Shares of all open detections, from the predictions of the candidates and of the unknown.
@@ -365,7 +367,8 @@ class Mixture:
     def _close(self, first: Candidate, second: Candidate) -> bool:
         a, b = self.summary(first), self.summary(second)
         spread = np.sqrt(np.trace(a.cov_m2)) + np.sqrt(np.trace(b.cov_m2))
-        return float(np.hypot(*(a.mean_m - b.mean_m))) < 3.0 * self.grid.cell_m + 2.0 * spread
+        result: bool = float(np.hypot(*(a.mean_m - b.mean_m))) < 3.0 * self.grid.cell_m + 2.0 * spread
+        return result
 
     def remove(self, candidate: Candidate) -> None:
         """Drop a candidate; its detections are for others to claim."""
