@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from fieldkit.geometry.routes import route
 from fieldkit.geometry.segments import Place, Segment, ever_m, standing
 from fieldkit.messages import CallOperator, Command, GoTo, Hold, Land, Return, Waypoint
-from mission.safety.monitor import SLOW_M_S, SafetySettings, Watched
+from mission.safety.monitor import LONG_AGO_NS, SLOW_M_S, SafetySettings, Watched
 from mission.safety.separation import are_layered
 
 SLOWEST_M_S = 0.1
@@ -21,7 +21,7 @@ SLOWEST_M_S = 0.1
 REPEAT_S = 3.0
 SLACK_S = 60.0
 CORNER_M = 0.5
-"""A corner of the path home counts as passed this near to it."""
+"""A corner of the path home counts as passed this near to it, where the way on from there is open."""
 REST_S = 3.0
 """A robot that has been near home for so long is home, though it still turns."""
 
@@ -35,6 +35,7 @@ class _Trip:
     until_ns: int
     """When it should be home at the latest."""
     told_ns: int
+    """When it was last told; long ago: it has not been told where to go now."""
     leg: int = 0
     nearest_m: float = math.inf
     """The least of its way that was ever left."""
@@ -80,9 +81,8 @@ class ReturnSequence:
     def segments(self, robots: Mapping[str, Watched], settings: SafetySettings) -> dict[str, Segment]:
         """What those under way drive now."""
         return {
-            name: Segment(here, trip.path[trip.leg], settings.max_speed_m_s)
+            name: Segment(_seen_at(robots[name]), trip.path[trip.leg], settings.max_speed_m_s)
             for name, trip in self.under_way.items()
-            if (here := robots[name].place_m) is not None
         }
 
     def step(self, robots: Mapping[str, Watched], settings: SafetySettings, now_ns: int) -> list[Command]:
@@ -92,12 +92,12 @@ class ReturnSequence:
             commands += self._go_on(robots[name], settings, now_ns)
         for name in list(self.waiting):
             robot = robots[name]
-            here = robot.place_m
-            if here is None or robot.home_m is None or robot.somebody_elses or not _is_heard(robot):
+            here = _place_of(robot)
+            if here is None:
                 continue
-            path = _path_home(robot, settings)
-            if path and self._is_clear(robot, path, robots, settings):
-                length_m = sum(math.dist(a, b) for a, b in zip((here, *path), path, strict=False))
+            path = _path_home(robot, here, settings)
+            if path and self._is_clear(robot, (here, *path), robots, settings):
+                length_m = sum(math.dist(a, b) for a, b in itertools.pairwise((here, *path)))
                 until_ns = now_ns + round(1e9 * (SLACK_S + length_m / SLOWEST_M_S))
                 trip = _Trip(self.waiting.pop(name), path, until_ns, now_ns, nearest_ns=now_ns)
                 self.under_way[name] = trip
@@ -108,14 +108,12 @@ class ReturnSequence:
 
     def _go_on(self, robot: Watched, settings: SafetySettings, now_ns: int) -> list[Command]:
         """One that is under way: home, on to the next corner, still going, or not getting there."""
-        name, trip, here = robot.name, self.under_way[robot.name], robot.place_m
-        if here is None:
-            return []
+        name, trip, here = robot.name, self.under_way[robot.name], _seen_at(robot)
         if trip.lands:
             return self._land(robot, trip, now_ns)
         if self._is_home(robot, trip, settings, now_ns):
             if name in settings.altitude_m:
-                trip.lands, trip.told_ns = True, 0
+                trip.lands, trip.told_ns = True, LONG_AGO_NS
                 return self._land(robot, trip, now_ns)
             self.forget(name)
             return [Hold(now_ns, name, f"it is home: {trip.reason}")]
@@ -132,13 +130,14 @@ class ReturnSequence:
             self.forget(name)
             self.waiting[name] = trip.reason
             return [Hold(now_ns, name, "it is too near another robot; it goes on home when it can")]
-        while trip.leg < len(trip.path) - 1 and math.dist(here, trip.path[trip.leg]) <= CORNER_M:
-            trip.leg, trip.told_ns = trip.leg + 1, 0
+        while _has_passed(trip, here, settings):
+            trip.leg, trip.told_ns = trip.leg + 1, LONG_AGO_NS
         if (left_m := trip.left_m(here)) < trip.nearest_m - 0.1:
             trip.nearest_m, trip.nearest_ns = left_m, now_ns
         if not trip.by_itself and (now_ns - trip.nearest_ns) * 1e-9 > settings.stall_s:
             return self._last_resort(robot, trip, settings, now_ns)
-        if trip.told_ns == 0 or (_goes_elsewhere(robot, trip) and (now_ns - trip.told_ns) * 1e-9 > REPEAT_S):
+        untold = trip.told_ns == LONG_AGO_NS
+        if untold or (_goes_elsewhere(robot, trip) and (now_ns - trip.told_ns) * 1e-9 > REPEAT_S):
             trip.told_ns = now_ns
             return [_tell(robot, trip, settings, now_ns)]
         return []
@@ -161,8 +160,7 @@ class ReturnSequence:
         self, robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int
     ) -> list[Command]:
         """It does not get on by way-points: its own return, where a straight line home is open; else the operator."""
-        here = robot.place_m
-        if here is not None and settings.bounds.permits(here, trip.goal_m):
+        if settings.bounds.permits(_seen_at(robot), trip.goal_m):
             trip.by_itself, trip.told_ns = True, now_ns
             return [_tell(robot, trip, settings, now_ns)]
         self.forget(robot.name)
@@ -170,9 +168,8 @@ class ReturnSequence:
 
     def _is_home(self, robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int) -> bool:
         """Near where it started, and come to rest: one told to hold while it still drives would roll past."""
-        here = robot.place_m
         near_m = max(0.3, settings.near_m)
-        if here is None or trip.leg < len(trip.path) - 1 or math.dist(here, trip.goal_m) > near_m:
+        if trip.leg < len(trip.path) - 1 or math.dist(_seen_at(robot), trip.goal_m) > near_m:
             trip.near_ns = None
             return False
         if trip.near_ns is None:
@@ -187,8 +184,8 @@ class ReturnSequence:
         robots: Mapping[str, Watched],
         settings: SafetySettings,
     ) -> bool:
-        here = robot.place_m or (0.0, 0.0)
-        mine = [Segment(a, b, settings.max_speed_m_s) for a, b in zip((here, *path), path, strict=False)]
+        """Whether its path, from where it is, keeps clear of all the others."""
+        mine = [Segment(a, b) for a, b in itertools.pairwise(path)]
         for other in robots.values():
             if other is robot or other.place_m is None or are_layered(robot, other, settings):
                 continue
@@ -199,7 +196,7 @@ class ReturnSequence:
             else:
                 theirs = [other.unseen(settings) or other.segment() or standing(other.place_m)]
             # Side by side is where robots start: only a path that comes nearer than now is in the way.
-            limit_m = min(settings.near_m * 1.2, math.dist(here, other.place_m) - 0.01)
+            limit_m = min(settings.near_m * 1.2, math.dist(path[0], other.place_m) - 0.01)
             if any(ever_m(one, two) < limit_m for one in mine for two in theirs):
                 return False
         return True
@@ -208,8 +205,7 @@ class ReturnSequence:
         """Nobody is under way and nobody can set out: those that could be told to go stay, and somebody is asked."""
         commands: list[Command] = []
         for name, reason in list(self.waiting.items()):
-            robot = robots[name]
-            if robot.place_m is None or robot.home_m is None or robot.somebody_elses or not _is_heard(robot):
+            if _place_of(robots[name]) is None:
                 continue
             if any(other.moving for other in robots.values()):
                 continue  # its path may come free
@@ -220,12 +216,28 @@ class ReturnSequence:
         return commands
 
 
-def _path_home(robot: Watched, settings: SafetySettings) -> tuple[Place, ...]:
+def _place_of(robot: Watched) -> Place | None:
+    """Where a robot is that can be told to go home; None of one that was never seen, is not heard, or is not ours."""
+    heard = robot.vehicle is None or robot.vehicle.link_up
+    return None if robot.somebody_elses or not heard else robot.place_m
+
+
+def _seen_at(robot: Watched) -> Place:
+    """Where a robot under way is: only one that has been seen sets out."""
+    assert robot.place_m is not None
+    return robot.place_m
+
+
+def _path_home(robot: Watched, here: Place, settings: SafetySettings) -> tuple[Place, ...]:
     """Corners of the way home, as near to where it started as margins allow; empty where there is none."""
-    here, home = robot.place_m, robot.home_m
-    if here is None or home is None:
-        return ()
-    return route(settings.margins, here, settings.margins.nearest_open(home))
+    return route(settings.margins, here, settings.margins.nearest_open(robot.home_m or here))
+
+
+def _has_passed(trip: _Trip, here: Place, settings: SafetySettings) -> bool:
+    """Whether it may go on to the next corner: near this one, and not across the closed ground that it goes round."""
+    if trip.leg == len(trip.path) - 1 or math.dist(here, trip.path[trip.leg]) > CORNER_M:
+        return False
+    return settings.bounds.permits(here, trip.path[trip.leg + 1])
 
 
 def _tell(robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int) -> Command:
@@ -234,10 +246,6 @@ def _tell(robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int) ->
     east_m, north_m = trip.path[trip.leg]
     up_m = settings.altitude_m.get(robot.name, 0.0)
     return GoTo(now_ns, robot.name, Waypoint(east_m, north_m, settings.max_speed_m_s, up_m))
-
-
-def _is_heard(robot: Watched) -> bool:
-    return robot.vehicle is None or robot.vehicle.link_up
 
 
 def _goes_elsewhere(robot: Watched, trip: _Trip) -> bool:
