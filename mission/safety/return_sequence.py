@@ -161,7 +161,7 @@ class ReturnSequence:
     ) -> list[Command]:
         """It does not get on by way-points: its own return, where a straight line home is open; else the operator."""
         if settings.bounds.permits(_seen_at(robot), trip.goal_m):
-            trip.by_itself, trip.told_ns = True, now_ns
+            trip.by_itself, trip.told_ns, trip.leg = True, now_ns, len(trip.path) - 1
             return [_tell(robot, trip, settings, now_ns)]
         self.forget(robot.name)
         return [CallOperator(now_ns, robot.name, f"it does not get on on its way home: {trip.reason}")]
