@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from fieldkit.geometry.polygons import KeepOut
 from fieldkit.geometry.routes import route
 from fieldkit.geometry.segments import Place, Segment, ever_m, standing
 from fieldkit.messages import CallOperator, Command, GoTo, Hold, Land, Return, Waypoint
@@ -74,6 +75,17 @@ class ReturnSequence:
         """It is not to go home any more."""
         self.waiting.pop(name, None)
         self.under_way.pop(name, None)
+
+    def ask_anew(self, robots: Mapping[str, Watched], closed: KeepOut) -> set[str]:
+        """Those under way across ground that was closed meanwhile: they are to stop, and to set out on another path."""
+        stopped: set[str] = set()
+        for name, trip in list(self.under_way.items()):
+            ahead = (_seen_at(robots[name]), *trip.path[trip.leg :])
+            if not trip.lands and not all(closed.permits(a, b) for a, b in itertools.pairwise(ahead)):
+                del self.under_way[name]
+                self.waiting[name] = trip.reason
+                stopped.add(name)
+        return stopped
 
     def __contains__(self, name: str) -> bool:
         return name in self.waiting or name in self.under_way

@@ -3,6 +3,7 @@
 Rules, in the order they are asked:
 
 - operator's hold, return, release or a withdrawal stands until resumed;
+- an area that the operator closes stops those whose way leads across it, and sends those on their way home round it;
 - a robot whose link is down, whose pose is unknown, stale, implausible or from the future gets `Hold`;
 - a target that is not finite gets `Hold`; one beyond the fence is drawn back to it, one beyond the longest leg too;
 - a path onto closed ground or out of the fence, margins included, gets `Hold`; a path back in is always allowed;
@@ -24,6 +25,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fieldkit.geometry.polygons import KeepOut
 from fieldkit.geometry.segments import Place, Segment, standing
 from fieldkit.messages import (
     CallOperator,
@@ -142,8 +144,7 @@ class Safety:
 
     def _operator(self, event: Operator) -> list[Command]:
         if event.action == "exclude":
-            self._exclude(event)
-            return []
+            return self._exclude(event)
         names = self.settings.robots if event.robot is None else (event.robot,)
         commands: list[Command] = []
         for robot in (self.robots[name] for name in names if name in self.robots):
@@ -181,9 +182,24 @@ class Safety:
                 pass
         return []
 
-    def _exclude(self, event: Operator) -> None:
-        if len(event.area_m) >= 3 and np.isfinite(event.area_m).all():
-            self.settings = replace(self.settings, keep_out=self.settings.keep_out.also(event.area_m))
+    def _exclude(self, event: Operator) -> list[Command]:
+        """Close an area from now on, and stop those on a path across it: one may be there before it is sent anew."""
+        if len(event.area_m) < 3 or not np.isfinite(event.area_m).all():
+            return []
+        self.settings = replace(self.settings, keep_out=self.settings.keep_out.also(event.area_m))
+        closed = KeepOut((event.area_m,), margin_m=self.settings.fence_margin_m)
+        stopped = self.returning.ask_anew(self.robots, closed)
+        for robot in self.robots.values():
+            segment = robot.segment()
+            if not robot.moving or robot.somebody_elses or segment is None:
+                continue
+            if not closed.permits(segment.start_m, segment.end_m):
+                stopped.add(robot.name)
+        reason = "an area was closed that its path leads across"
+        commands: list[Command] = [Hold(event.t_ns, name, reason) for name in self.robots if name in stopped]
+        for command in commands:
+            self._note(command)
+        return commands
 
     # -- time ------------------------------------------------------------------------------------------------
 

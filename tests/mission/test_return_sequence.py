@@ -117,7 +117,9 @@ def test_a_robot_shut_in_stays_and_the_operator_is_asked() -> None:
     team.put("a", (20.0, 20.0))
     team.sequence.ask("a", "low")
     (call,) = team.step()
-    assert isinstance(call, CallOperator) and call.reason == "its way home is blocked; it stays where it is: low"
+    assert (
+        isinstance(call, CallOperator) and call.reason == "its way home is blocked; it stays where it is: low"
+    )
     assert team.step(1.0) == [] and "a" not in team.sequence
 
 
@@ -393,6 +395,40 @@ def test_one_stuck_behind_closed_ground_is_not_left_to_drive_straight() -> None:
     assert "a" not in team.sequence
 
 
+def test_one_that_drives_straight_home_by_itself_is_home_there() -> None:
+    team = leaving((15.0, 24.0), (15.0, 16.0), SHARP)
+    team.put("a", (5.0, 16.0))  # pushed to where a straight line home is open
+    assert team.step(1.0) == []
+    (order,) = team.step(LIMITS.stall_s + 0.1)
+    assert isinstance(order, Return)
+    team.says("a", "return")
+    assert team.sequence.segments(team.robots, team.settings)["a"].end_m == (15.0, 16.0)
+    team.put("a", (15.0, 16.0))
+    assert [type(c) for c in team.step(10.0)] == [Hold] and "a" not in team.sequence
+
+
+def test_ground_closed_on_the_way_home_is_gone_round() -> None:
+    team = leaving((15.0, 35.0), (15.0, 5.0))
+    aside = KeepOut((((20.0, 20.0), (25.0, 20.0), (25.0, 22.0)),), margin_m=0.2)
+    assert team.sequence.ask_anew(team.robots, aside) == set()
+    across = KeepOut((WALL,), margin_m=0.2)
+    team.settings = replace(team.settings, keep_out=KeepOut((WALL,)))
+    assert team.sequence.ask_anew(team.robots, across) == {"a"}
+    (order,) = team.step(1.0)
+    assert isinstance(order, GoTo) and order.waypoint.east_m < 10.0
+    assert team.sequence.under_way["a"].reason == "low"
+    beyond = KeepOut((((10.0, 10.0), (20.0, 10.0), (20.0, 11.0), (10.0, 11.0)),))
+    assert team.sequence.ask_anew(team.robots, beyond) == {"a"}, "on a later leg as well"
+
+
+def test_ground_closed_behind_or_below_one_that_lands_stops_nobody() -> None:
+    team = leaving((15.0, 35.0), (15.0, 5.0))
+    team.put("a", (15.0, 15.0))
+    assert team.sequence.ask_anew(team.robots, KeepOut((WALL,))) == set()
+    team = landing()
+    assert team.sequence.ask_anew(team.robots, KeepOut((((0, 0), (10, 0), (10, 10), (0, 10)),))) == set()
+
+
 # Landing
 
 
@@ -426,7 +462,9 @@ def test_it_is_told_to_land_every_three_seconds_until_it_does() -> None:
     [(True, True, True, True), (False, None, True, True), (True, None, True, False),
      (True, False, True, False), (False, True, False, False)],
 )  # fmt: skip
-def test_it_has_landed_when_it_says_so(armed: bool, on_ground: bool | None, link_up: bool, done: bool) -> None:
+def test_it_has_landed_when_it_says_so(
+    armed: bool, on_ground: bool | None, link_up: bool, done: bool
+) -> None:
     team = landing()
     team.robots["a"].vehicle = VehicleState(0, "a", "land", armed, link_up, on_ground=on_ground)
     assert team.step(1.0) == []
