@@ -111,9 +111,8 @@ class Safety:
         self, commands: Sequence[Command], refused: dict[str, Hold], occupied: dict[str, Occupancy]
     ) -> list[Command]:
         """Each command in order, the robots in `refused` standing where they are."""
-        new = {
-            name: standing(self.robots[name].place_m or (0.0, 0.0)) for name in refused if name in self.robots
-        }
+        known = (robot for name, robot in self.robots.items() if name in refused)
+        new = {robot.name: standing(place) for robot in known if (place := robot.place_m) is not None}
         undecided = {c.robot for c in commands if isinstance(c, GoTo)} - refused.keys()
         judged: list[Command] = []
         for command in commands:
