@@ -210,7 +210,7 @@ class Safety:
         if self._late:  # what lasted while nobody looked is not held against a robot
             for robot in self.robots.values():
                 robot.progress_ns = now_ns
-                robot.troubled_ns = None if robot.troubled_ns is None else now_ns
+                robot.troubled_ns = None
         mark_too_near(self.robots, self.returning.segments(self.robots, self.settings), self.settings)
         commands: list[Command] = []
         for robot in self.robots.values():
@@ -229,7 +229,7 @@ class Safety:
         return f"the steering loop was silent for {gap_s:.1f} s" if gap_s > self.settings.overrun_s else ""
 
     def _look_at(self, robot: Watched, now_ns: int) -> list[Command]:
-        if robot.ordered == "release" or (robot.pose is None and not robot.moving):
+        if robot.ordered == "release" or robot.pose is None:
             return []
         homeward = robot.name in self.returning.under_way  # its sequence minds what happens under way
         trouble = (not_ready if homeward else trouble_of)(robot, self.settings, now_ns)
@@ -245,7 +245,7 @@ class Safety:
 
     def _hold(self, robot: Watched, trouble: Trouble, now_ns: int) -> list[Command]:
         """A hold, unless it holds already or is on its way home; again until the vehicle says so."""
-        if robot.name in self.returning.under_way or not (robot.moving or not robot.holds):
+        if robot.name in self.returning.under_way or (robot.holds and not robot.moving):
             return []
         if robot.somebody_elses:
             robot.stop()
@@ -263,8 +263,6 @@ class Safety:
         if robot.called or robot.ordered or lasted_s < after_s:
             return []
         if trouble.then == "return":
-            if robot.name in self.returning:
-                return []
             self.returning.ask(robot.name, trouble.reason)
             robot.ordered = "return"
             return self._call(robot, f"{trouble.reason}: it is sent home", now_ns)

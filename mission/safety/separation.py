@@ -71,11 +71,11 @@ def conflict(
             continue
         given = new.get(name)
         for other in occupancy.segments if given is None else (given,):
-            if keep_apart_m(segment, other) >= limit_m:
+            if keep_apart_m(segment, other) >= limit_m:  # a short cut
                 continue
             least_m = min(limit_m, math.dist(segment.start_m, other.start_m) - 0.01)
-            if ever_m(segment, other) > least_m + SLACK_M:
-                continue  # they keep clear whenever they start
+            if ever_m(segment, other) > least_m + SLACK_M:  # a short cut: clear whenever they start
+                continue
             nearest = min(nearest_m(segment, other, a, b) for a, b in _starts(other))
             if nearest < least_m:
                 return f"its path comes within {nearest:.2f} m of {name}"
@@ -98,7 +98,7 @@ def mark_too_near(
 
     `homeward` are the segments of robots on their way home.
     """
-    limit = settings.near_m
+    near_m, apart_m = settings.near_m, 1.2 * settings.near_m
     before = {name: robot.too_near for name, robot in robots.items()}
     for robot in robots.values():
         robot.too_near = False
@@ -107,11 +107,11 @@ def mark_too_near(
     for later, mine in enumerate(near):
         for other in near[:later]:
             gap_m = math.dist(mine.place_m, other.place_m)
-            if gap_m - mine.reach_m - other.reach_m > 1.2 * limit + SLACK_M:
-                continue  # most pairs, told at once: the rest costs fifty times as much
+            if gap_m - mine.reach_m - other.reach_m > apart_m:  # a short cut, for most pairs
+                continue
             if are_layered(mine.robot, other.robot, settings):
                 continue
-            if gap_m < (1.2 * limit if before[mine.robot.name] else limit):
+            if gap_m < (apart_m if before[mine.robot.name] else near_m):
                 if nearest_m(other.soon, mine.soon) < gap_m - 0.01:
                     (mine if mine.robot.name in drives else other).robot.too_near = True
             elif (yields := _must_yield(other, mine, drives, settings)) is not None:
@@ -131,16 +131,16 @@ class _Moment:
     """How far from its place any of that leads."""
 
     def __post_init__(self) -> None:
-        unseen_m = 0.0 if self.somewhere is None else self.somewhere.length_m
-        object.__setattr__(self, "reach_m", max(self.soon.length_m, unseen_m))
+        lengths_m = [segment.length_m for segment in (self.soon, self.somewhere) if segment is not None]
+        object.__setattr__(self, "reach_m", max(lengths_m))
 
 
 def _moment(robot: Watched, homeward: Mapping[str, Segment], settings: SafetySettings) -> _Moment | None:
     """Where it is and will be soon; None where its place is not known."""
-    here, segment = robot.place_m, robot.segment()
-    if here is None or segment is None:
+    left = robot.segment()
+    if left is None:
         return None
-    segment = homeward.get(robot.name, segment)
+    here, segment = left.start_m, homeward.get(robot.name, left)
     ahead_s = SOON_S + settings.braking_m / max(settings.max_speed_m_s, 1e-3)
     obeys = segment.length_m and not robot.strays
     soon = replace(segment, end_m=segment.at(ahead_s)) if obeys else robot.drift(ahead_s)
@@ -158,7 +158,7 @@ def _must_yield(
         if ever_m(mover.soon, other.somewhere) < near_m and not leaves(mover.soon, other.somewhere, near_m):
             return mover.robot
     one, two = first.soon, second.soon
-    if not (one.length_m or two.length_m) or keep_apart_m(one, two) >= near_m:
+    if keep_apart_m(one, two) >= near_m:  # a short cut
         return None
     limit_m = min(near_m, math.dist(one.start_m, two.start_m) - 0.01)
     if nearest_m(one, two) >= limit_m:
