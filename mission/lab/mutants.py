@@ -20,6 +20,8 @@ from typing import Any
 
 from fieldkit.errors import ConfigError
 
+SHORT_CUT = "# a short cut"
+"""Marks an `if` that only saves time. Never to take it gives the same answers; all other changes to it are drawn."""
 TIMEOUT_S = 240.0
 """A mutant that hangs its tests is noticed as well."""
 TARGETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -27,7 +29,8 @@ TARGETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("mission/safety/rules.py", "mission/safety/monitor.py", "mission/safety/separation.py",
          "mission/safety/return_sequence.py"),
         ("tests/mission/test_safety.py", "tests/mission/test_escalation.py", "tests/mission/test_separation.py",
-         "tests/mission/test_return_sequence.py", "tests/mission/test_monitor.py"),
+         "tests/mission/test_return_sequence.py", "tests/mission/test_monitor.py",
+         "tests/mission/test_watched.py", "tests/mission/test_safety_rules.py"),
     ),
     "kernel": (("mission/core/kernel.py",), ("tests/mission/test_kernel.py",)),
     "association": (
@@ -134,10 +137,12 @@ def is_killed(root: Path, mutant: Mutant, tests: list[str]) -> bool:
 
 def mutants_of(path: str, source: str) -> Iterator[Mutant]:
     """Every single change to a module, but for its docstrings and annotations."""
-    tree = ast.parse(source)
+    tree, lines = ast.parse(source), source.splitlines()
     spots = list(_code(tree))
     for index, node in enumerate(spots):
         for change in _changes(node):
+            if change is _never and SHORT_CUT in lines[node.lineno - 1]:
+                continue
             whole = copy.deepcopy(tree)
             twin = list(_code(whole))[index]
             before = ast.unparse(twin)
@@ -154,9 +159,13 @@ def _code(tree: ast.Module) -> Iterator[Any]:
         if not isinstance(function, ast.FunctionDef):
             continue
         body = function.body[1:] if ast.get_docstring(function) else function.body
+        # `strict=True` of a `zip` asserts what holds for every input: no test can tell it from False.
+        asserted = {
+            id(k.value) for k in ast.walk(function) if isinstance(k, ast.keyword) and k.arg == "strict"
+        }
         for statement in body:
             for node in ast.walk(statement):
-                if isinstance(node, ast.FunctionDef | ast.JoinedStr):
+                if isinstance(node, ast.FunctionDef | ast.JoinedStr) or id(node) in asserted:
                     continue
                 if isinstance(
                     node, ast.Compare | ast.BoolOp | ast.BinOp | ast.UnaryOp | ast.Constant | ast.If
