@@ -73,7 +73,9 @@ class Steered:
         if not self.must_hold or vehicle.firmware is None:
             return False
         if vehicle.actual_mode == "hold":
-            return now_s < self.hold_unseen_until_s
+            # PX4 shows its hold mode on its way to a way-point: only what it has shown besides ends the repeating.
+            unseen = math.isfinite(self.hold_unseen_until_s)
+            return now_s < self.hold_unseen_until_s or (unseen and vehicle.firmware is PX4)
         return now_s < self.hold_unseen_until_s or (vehicle.link_up and vehicle.actual_mode == "guided")
 
     def newer_order(self) -> int:

@@ -320,6 +320,9 @@ async def test_px4_whose_stop_is_lost_does_not_count_as_held():
         t.rovers[0].drop_in = lambda data: is_command(data, pause)
         with pytest.raises(DeviceTimeout, match="did not show mode hold"):
             await t.link.hold("ada")
+        assert body.speed_m_s > 0.5
+        t.rovers[0].drop_in = lambda _: False
+        await until(lambda: body.speed_m_s == 0.0)
 
 
 async def test_a_team_holds_while_every_answer_is_lost():
