@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 SEED   ?= 7
 BENCH  ?= all
 
-.PHONY: demo test bench lint env clean
+.PHONY: demo test bench lint docs wheel env clean
 
 env: $(VENV)/.installed
 
@@ -31,8 +31,16 @@ lint: $(VENV)/.installed-dev
 test: lint
 	$(BIN)/pytest -n 2 --dist loadfile
 
+# The manual, offline, with warnings as errors; 'fieldkit docs' opens it.
+docs: $(VENV)/.installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir fieldkit/_manual
+
+# A wheel that carries the manual.
+wheel: docs
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+
 bench: $(VENV)/.installed-dev
 	$(BIN)/fieldkit bench $(BENCH)
 
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis fieldkit/_manual

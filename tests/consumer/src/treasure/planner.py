@@ -21,7 +21,7 @@ class ToThePeak(fieldkit.Planner):
         row, column = np.unravel_index(int(np.argmax(presence)), presence.shape)
         self._plans += 1
         robots = [robot for team in situation.teams for robot in team]
-        paths = {}
+        paths: dict[str, tuple[Waypoint, ...]] = {}
         for index, robot in enumerate(robots):
             bearing = 2.0 * math.pi * index / len(robots) + 0.7 * self._plans
             far_m = 2.0 * self.settings.min_separation_m
