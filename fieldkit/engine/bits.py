@@ -4,8 +4,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
+
+from fieldkit.engine.compiled import njit
 
 _MANTISSA = np.uint64(2**52 - 1)
 _ONE = np.uint64(1023 << 52)

@@ -7,8 +7,8 @@ Shapes: places (n, 3) and points (c, 3) are east, north, up in metres; neighbour
 import math
 
 import numpy as np
-from numba import njit
 
+from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray, IntArray
 
 FEATURES = 5

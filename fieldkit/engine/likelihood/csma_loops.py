@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray
 
 

@@ -7,8 +7,8 @@ heard nothing; `levels` (h,) are received powers at 1 m in dBm.
 import math
 
 import numpy as np
-from numba import njit
 
+from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray
 
 _SQRT2 = math.sqrt(2.0)

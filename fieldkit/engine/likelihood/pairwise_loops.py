@@ -8,9 +8,9 @@ two: exponent and leading bits of r are the index, and there is no logarithm to 
 import math
 
 import numpy as np
-from numba import njit
 
 from fieldkit.engine.bits import bits_of
+from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray
 
 BITS = 8

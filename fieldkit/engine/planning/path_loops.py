@@ -2,8 +2,7 @@
 
 import math
 
-from numba import njit
-
+from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray, IntArray
 
 

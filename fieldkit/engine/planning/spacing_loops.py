@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from fieldkit.engine.bits import fast_log
+from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray
 
 LEAST = 1e-300

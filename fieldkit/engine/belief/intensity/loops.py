@@ -8,9 +8,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import carray, njit, types  # type: ignore[attr-defined]
+from numba import carray, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
+from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray, IntArray
 
 UNCLAIMED = 1e-6
