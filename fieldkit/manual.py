@@ -1,15 +1,15 @@
 """`fieldkit docs`: the manual that travels in the wheel, served on this computer alone, without internet."""
 
-import functools
-import http.server
-import webbrowser
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fieldkit.errors import ConfigError
+
+if TYPE_CHECKING:
+    from http.server import ThreadingHTTPServer
 
 
 def manual_folder() -> Path:
@@ -23,15 +23,16 @@ def manual_folder() -> Path:
     return folder
 
 
-class _Quiet(http.server.SimpleHTTPRequestHandler):
-    def log_message(self, format: str, *args: Any) -> None:
-        """Nothing: who reads does not watch the terminal."""
-
-
-def server(port: int = 0) -> http.server.ThreadingHTTPServer:
+def server(port: int = 0) -> "ThreadingHTTPServer":
     """A server of the manual on the loopback interface; `server_port` says where. Not yet serving."""
-    handler = functools.partial(_Quiet, directory=str(manual_folder()))
-    return http.server.ThreadingHTTPServer(("127.0.0.1", port), handler)
+    from functools import partial
+    from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, format: str, *args: Any) -> None:
+            """Nothing: who reads does not watch the terminal."""
+
+    return ThreadingHTTPServer(("127.0.0.1", port), partial(Quiet, directory=str(manual_folder())))
 
 
 def docs(
@@ -45,6 +46,8 @@ def docs(
 
     Example: fieldkit docs
     """
+    import webbrowser
+
     if path:
         typer.echo(manual_folder() / "index.html")
         return

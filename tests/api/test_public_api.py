@@ -23,6 +23,16 @@ def test_importing_fieldkit_imports_nothing_heavy_and_none_of_its_siblings() -> 
     assert said.stdout.strip() == "[]"
 
 
+def test_help_is_shown_without_anything_heavy() -> None:
+    heavy = tuple(name for name in HEAVY if name not in ("mission", "drivers", "calibration"))
+    code = (
+        "import sys\nsys.argv = ['fieldkit', '--help']\nfrom fieldkit.cli import main\n"
+        f"try:\n    main()\nfinally:\n    print([m for m in {heavy!r} if m in sys.modules], file=sys.stderr)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "calibrate" in said.stdout and said.stderr.strip() == "[]"
+
+
 def test_every_public_name_is_there_documented_and_listed() -> None:
     assert sorted(fieldkit.__all__) == dir(fieldkit)
     for name in fieldkit.__all__:
