@@ -10,6 +10,7 @@ An operator is played too: a while after a fault has gone, the robot is resumed.
 
 import asyncio
 import json
+import math
 import shutil
 import socket
 import tempfile
@@ -49,6 +50,8 @@ RESUME_S = 15.0
 KILLED_S = 20.0
 """How long a killed mission is away."""
 NEVER_S = 1e9
+HOME_M = 1.0
+"""A way-point so near to where a robot started leads home: round closed ground it is the last of several."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,7 +326,8 @@ async def _happen(flight: Flight, fault: Fault, port: int) -> None:
         await begin(rover, flight, fault)
     if fault.kind in STOPS:
         await flight.clock.sleep(REACTION_S)
-        if flight.clock.elapsed_s() < flight.ended_s and victims[0].drives_for_us and not _forgiven(flight):
+        drives = victims[0].drives_for_us and not _goes_home(flight, fault)
+        if flight.clock.elapsed_s() < flight.ended_s and drives and not _forgiven(flight):
             flight.not_held.append(f"{fault.robot} after {fault.kind}")
     await flight.clock.sleep(max(0.0, fault.until_s - flight.clock.elapsed_s()))
     for rover in victims:
@@ -341,6 +345,15 @@ def _goes_on_by_itself(fault: Fault, held: bool, limits: SafetySettings) -> bool
     """A robot that stood under a hold of ours when it lost its position, and has it back before we call for help."""
     call_s = limits.call_after_s + limits.pose_timeout_s
     return fault.kind == "GPS loss" and held and fault.until_s - fault.at_s <= call_s
+
+
+def _goes_home(flight: Flight, fault: Fault) -> bool:
+    """A robot whose battery is low is sent home by our own way-points."""
+    if fault.kind != "battery drop":
+        return False
+    targets = flight.fleet.rovers[fault.robot].targets
+    home_m = start_places(flight.mission)[fault.robot]
+    return bool(targets) and math.dist((targets[-1].east_m, targets[-1].north_m), home_m) < HOME_M
 
 
 def _forgiven(flight: Flight) -> bool:
