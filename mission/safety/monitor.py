@@ -234,6 +234,12 @@ class Watched:
         forward_m = v_east * (segment.end_m[0] - east) + v_north * (segment.end_m[1] - north)
         return speed_m_s >= SLOW_M_S and forward_m < 0.5 * speed_m_s * segment.length_m
 
+    def lags(self, within_s: float) -> bool:
+        """It was sent on its way no longer ago than that, and does not make half its speed yet."""
+        if self.target is None or (self.now_ns - self.sent_ns) * 1e-9 > within_s:
+            return False
+        return math.hypot(*self.velocity_m_s) < 0.5 * self.target.speed_m_s
+
     def drift(self, ahead_s: float) -> Segment | None:
         """Where it will be soon, by how it has moved; for those that others steer, or nobody."""
         here = self.place_m

@@ -94,7 +94,8 @@ def are_layered(one: Watched, other: Watched, settings: SafetySettings) -> bool:
 def mark_too_near(
     robots: Mapping[str, Watched], homeward: Mapping[str, Segment], settings: SafetySettings
 ) -> None:
-    """Set `too_near` on those that are, or will be if both go on: of two the later-named, where that helps.
+    """Set `too_near` on those that are, or will be if both go on: of two the later-named, or both where one
+    is not enough.
 
     `homeward` are the segments of robots on their way home.
     """
@@ -114,6 +115,9 @@ def mark_too_near(
             if gap_m < (apart_m if before[mine.robot.name] else near_m):
                 if nearest_m(other.soon, mine.soon) < gap_m - 0.01:
                     (mine if mine.robot.name in drives else other).robot.too_near = True
+                    # Where that does not help, since the other drives past or over it, that one waits as well.
+                    if nearest_m(other.soon, standing(mine.place_m)) < min(near_m, gap_m) - 0.01:
+                        other.robot.too_near = other.robot.name in drives
             elif (yields := _must_yield(other, mine, drives, settings)) is not None:
                 yields.too_near = True
 
@@ -162,12 +166,21 @@ def _must_yield(
         return None
     limit_m = min(near_m, math.dist(one.start_m, two.start_m) - 0.01)
     if nearest_m(one, two) >= limit_m:
-        return None
+        return _past_a_slow_one(first, second, limit_m)
     helps = nearest_m(one, standing(two.start_m)) >= limit_m
     second_drives, first_drives = second.robot.name in drives, first.robot.name in drives
     if second_drives and (helps or not first_drives):
         return second.robot
     return first.robot if first_drives else second.robot
+
+
+def _past_a_slow_one(first: _Moment, second: _Moment, limit_m: float) -> Watched | None:
+    """Which of two drives too near past the other that has not got going: a car turns wide before it gets on."""
+    if first.robot.lags(STARTS_S) and nearest_m(standing(first.place_m), second.soon) < limit_m:
+        return second.robot
+    if second.robot.lags(STARTS_S) and nearest_m(first.soon, standing(second.place_m)) < limit_m:
+        return first.robot
+    return None
 
 
 def _starts(other: Segment) -> tuple[tuple[float, float], ...]:

@@ -247,7 +247,9 @@ def test_of_two_too_near_the_later_named_waits_until_the_gap_has_opened(separati
 def test_of_two_too_near_the_one_that_drives_waits() -> None:
     assert too_near(robot("a", (0, 0), (5, 0)), robot("b", (0.9, 0))) == {"a"}
     assert too_near(robot("a", (0, 0)), robot("b", (0.9, 0), (-5, 0))) == {"b"}
-    assert too_near(robot("a", (0, 0), (5, 0)), robot("b", (0.9, 0), (-5, 0))) == {"b"}
+    assert too_near(robot("a", (0, 0), (5, 0)), robot("b", (0.9, 0), (-5, 0))) == {"a", "b"}, (
+        "head-on both wait"
+    )
     assert too_near(robot("a", (0, 0)), robot("b", (0.9, 0))) == set()
 
 
@@ -321,3 +323,27 @@ def test_one_beside_a_lost_ones_way_may_drive_off(to_m: Place, stopped: set[str]
     gone.now_ns = mover.now_ns = 30 * S
     mover.pose = Pose(30 * S, "b", 4.0, 0.9)
     assert too_near(gone, mover) - {"a"} == stopped
+
+
+def test_one_that_drives_over_a_robot_that_was_stopped_is_stopped_as_well() -> None:
+    past = robot("a", (0.3, 0.0), (-5.0, 0.1))
+    assert too_near(past, robot("b", (0.0, 0.0), (0.0, 5.0), 0.5)) == {"a", "b"}
+    leaving = robot("a", (0.3, 0.0), (5.0, 0.0))
+    assert too_near(leaving, robot("b", (0.0, 0.0), (5.0, 0.0), 1.0)) == {"b"}, "one that leaves may go on"
+
+
+def test_a_robot_that_has_not_got_going_is_taken_to_stand_too() -> None:
+    """A car that was sent north turns first; another would pass in front of where it should be, and does not."""
+
+    def stopped(velocity_m_s: tuple[float, float], sent_ago_s: float) -> set[str]:
+        slow = robot("a", (0.0, 0.0), (0.0, 20.0), 0.5)
+        passing = robot("b", (1.5, 0.0), (-5.0, 0.0), 0.5)
+        for each in (slow, passing):
+            each.now_ns = round(1.5e9)
+        slow.velocity_m_s, slow.sent_ns = velocity_m_s, round((1.5 - sent_ago_s) * 1e9)
+        passing.velocity_m_s = (-0.5, 0.0)
+        return too_near(slow, passing)
+
+    assert stopped((0.05, 0.05), 1.0) == {"b"}
+    assert stopped((0.0, 0.45), 1.0) == set(), "it has got going, and will be gone"
+    assert stopped((0.0, 0.26), STARTS_S - 0.1) == set() and stopped((0.0, 0.24), STARTS_S - 0.1) == {"b"}
