@@ -4,7 +4,10 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from fieldkit.channel.model import Antenna
+from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.grid import Grid
 from fieldkit.errors import ConfigError
 from fieldkit.geometry.polygons import NOWHERE, KeepOut
@@ -23,7 +26,7 @@ class EngineSettings:
     power_levels_db: tuple[float, ...] = (0.0,)
     """Powers a source may send at, relative to the calibrated transmitter."""
     found_probability: float = 0.9
-    """p_t: a source is found when it is within one cell of the estimate with at least this probability."""
+    """p_t: a source is found when it is within `found_within_m` of the estimate with at least this probability."""
     min_receptions: float = 3.0
     reference_rate_hz: float = 0.05
     """Transmission rate of a typical source; a source that sends more rarely takes longer to be noticed."""
@@ -39,6 +42,11 @@ class EngineSettings:
     """Way-points keep this far inside the field's border."""
     keep_out: KeepOut = NOWHERE
     """Ground no path may cross."""
+    spread: ChannelSpread | None = None
+    """What readings of one place and one transmitter have in common; None: nothing, every reading stands alone."""
+    found_within_m: float | None = None
+    """A source is found when it is this near to the estimate; None: within one cell, without place noise, else 2 m or
+    a tenth of the typical range."""
     pose_sigma_m: float = 0.05
     """Standard deviation of each coordinate of the robots' positions."""
     seed: int = 0
@@ -76,6 +84,19 @@ class EngineSettings:
         ):
             if not getattr(self, name) > 0.0:
                 raise ConfigError(f"{name}: expected a positive number, got {getattr(self, name)}")
+
+    @property
+    def place_noise(self) -> bool:
+        """Whether readings of one place hang together."""
+        return self.spread is not None and self.spread.sigma_place_db > 0.0
+
+    @property
+    def find_radius_m(self) -> float | None:
+        """How near a find is; None: within one cell."""
+        if self.found_within_m is not None or not self.place_noise:
+            return self.found_within_m
+        typical_m = float(np.median(self.antenna.nominal_range_m(np.array(self.power_levels_db))))
+        return max(2.0, 0.1 * typical_m)
 
     @property
     def robots(self) -> tuple[str, ...]:

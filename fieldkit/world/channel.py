@@ -9,7 +9,7 @@ from fieldkit.messages import FloatArray
 def sample_rss_dbm(
     antenna: Antenna,
     range_m: FloatArray,
-    power_db: float,
+    power_db: FloatArray | float,
     rng: np.random.Generator,
     off_front_deg: FloatArray | float = 0.0,
 ) -> FloatArray:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from fieldkit.engine.compiled import njit
-from fieldkit.messages import FloatArray
+from fieldkit.messages import FloatArray, IntArray
 
 _SQRT2 = math.sqrt(2.0)
 
@@ -132,3 +132,116 @@ def add_exposure(
                     silent[c] *= 1.0 - table[index[c]]
             for c in range(left, right):
                 exposure[h, r, c] += duration * (1.0 - silent[c])
+
+
+@njit(cache=True, nogil=True)
+def conditional_loglik(
+    points: FloatArray,
+    robots: FloatArray,
+    rss: FloatArray,
+    saturated: FloatArray,
+    near: FloatArray,
+    near_rss: FloatArray,
+    weights: FloatArray,
+    explained: FloatArray,
+    variance: float,
+    furthest: float,
+    levels: FloatArray,
+    ten_beta: float,
+    threshold: float,
+    min_range: float,
+    place_sigma: float,
+    loss: float,
+    outlier: float,
+    outlier_width: float,
+    log_silent: FloatArray,
+    log_heard: FloatArray,
+    silent_from: float,
+    per_sigma: float,
+    out: FloatArray,
+) -> None:
+    """out (h, n): as `levels_loglik`, each robot's mean moved by what the same source's earlier readings were off.
+
+    `near` (m, k, 2) and `near_rss` (m, k) are those readings, `weights` (m, k) what each counts, 0 for none, and
+    `explained` (m, k) by how much it lowers the `variance` of a reading alone (without rounding). A reading made so
+    near the point that an unsure place alone moves it by decibels counts for less, and no shadow is believed that is
+    deeper than `furthest` dB: those who heard another source are no reason to expect one.
+    """
+    n, m, n_levels, near_count = points.shape[0], robots.shape[0], levels.shape[0], near.shape[1]
+    slope = ten_beta / math.log(10.0) * place_sigma
+    silent_top = log_silent.shape[0] - 1.000001
+    heard_top = log_heard.shape[0] - 1.000001
+    for i in range(n):
+        for h in range(n_levels):
+            out[h, i] = 0.0
+        for q in range(m):
+            de = points[i, 0] - robots[q, 0]
+            dn = points[i, 1] - robots[q, 1]
+            d2 = max(de * de + dn * dn, min_range * min_range)
+            attenuation = 0.5 * ten_beta * math.log10(d2)
+            # Neighbours were off by moved - levels[h] * taken in all, each as much as it counts.
+            moved = 0.0
+            taken = 0.0
+            left = variance
+            for j in range(near_count):
+                if weights[q, j] != 0.0:
+                    ne = points[i, 0] - near[q, j, 0]
+                    nn = points[i, 1] - near[q, j, 1]
+                    away2 = max(ne * ne + nn * nn, min_range * min_range)
+                    trust = variance / (variance + slope * slope / (away2 + place_sigma * place_sigma))
+                    weight = trust * weights[q, j]
+                    moved += weight * (near_rss[q, j] + 0.5 * ten_beta * math.log10(away2))
+                    taken += weight
+                    left -= trust * explained[q, j]
+            spread = math.sqrt(left + slope * slope / (d2 + place_sigma * place_sigma))
+            if math.isnan(rss[q]):
+                scale = per_sigma / spread
+                for h in range(n_levels):
+                    off = min(max(moved - levels[h] * taken, -furthest), furthest)
+                    margin = levels[h] - attenuation + off - threshold - 0.5
+                    at = min(max(margin * scale - silent_from * per_sigma, 0.0), silent_top)
+                    k = int(at)
+                    out[h, i] += log_silent[k] + (at - k) * (log_silent[k + 1] - log_silent[k])
+            elif saturated[q] > 0.0:
+                for h in range(n_levels):
+                    off = min(max(moved - levels[h] * taken, -furthest), furthest)
+                    t = (rss[q] - 0.5 - (levels[h] - attenuation + off)) / spread
+                    p = (1.0 - loss) * ((1.0 - outlier) * _upper(t) + outlier * _upper(t / outlier_width))
+                    out[h, i] += math.log(max(p, 1e-300))
+            else:
+                wide = math.sqrt(spread * spread + 1.0 / 12.0)
+                norm = math.log((1.0 - loss) / (wide * math.sqrt(2.0 * math.pi)))
+                scale = per_sigma / wide
+                for h in range(n_levels):
+                    off = min(max(moved - levels[h] * taken, -furthest), furthest)
+                    at = min(abs(rss[q] - levels[h] + attenuation - off) * scale, heard_top)
+                    k = int(at)
+                    out[h, i] += norm + log_heard[k] + (at - k) * (log_heard[k + 1] - log_heard[k])
+
+
+@njit(cache=True, nogil=True)
+def add_exposure_at_places(
+    exposure: FloatArray,
+    cell: float,
+    robots: FloatArray,
+    which: IntArray,
+    hear: FloatArray,
+    step2: float,
+    limit2: FloatArray,
+    duration: float,
+) -> None:
+    """As `add_exposure`, each robot with the table `hear[which]` (tables, levels, k) of the place where it is."""
+    n_levels, rows, columns = exposure.shape
+    last = hear.shape[2] - 1
+    for r in range(rows):
+        north = (r + 0.5) * cell
+        for c in range(columns):
+            east = (c + 0.5) * cell
+            for h in range(n_levels):
+                silent = 1.0
+                for q in range(robots.shape[0]):
+                    d2 = (east - robots[q, 0]) ** 2 + (north - robots[q, 1]) ** 2
+                    if d2 < limit2[h]:
+                        silent *= 1.0 - hear[which[q], h, min(int(d2 / step2), last)]
+                if silent < 1.0:
+                    exposure[h, r, c] += duration * (1.0 - silent)

@@ -27,6 +27,10 @@ MAX_SQUARED_RESIDUAL = 2.5
 """Mean squared standardised residual above which readings do not look like what the antenna file predicts."""
 
 
+JUDGED_ON = 25
+"""Of so many of a candidate's last detections the residuals one step ahead are looked at, under place noise."""
+
+
 class IntensityBelief:
     """See the module. Not thread-safe; deterministic."""
 
@@ -135,6 +139,12 @@ class IntensityBelief:
         claimed = [self.mixture.open[number] for number, share in candidate.share.items() if share >= 0.5]
         if not claimed:
             return 0.0, 0
+        if self.mixture.places is not None:
+            return self.mixture.places.misfit(
+                [stored.detection for stored in claimed[-JUDGED_ON:]],
+                candidate.points_m[index],
+                float(self.model.level_dbm[level]),
+            )
         position = np.concatenate([stored.near_m for stored in claimed])
         rss = np.concatenate([stored.rss_dbm for stored in claimed])
         distance = np.hypot(*(position - candidate.points_m[index]).T)
@@ -162,7 +172,8 @@ class IntensityBelief:
                     rate_hz=(RATE_SHAPE + candidate.receptions)
                     / (self.mixture.rate_prior_s + summary.exposure_s),
                     p_exists=1.0
-                    - float(np.prod([1.0 - min(share, 1.0 - 1e-9) for share in candidate.share.values()])),
+                    - float(np.prod([1.0 - min(share, 1.0 - 1e-9) for share in candidate.share.values()]))
+                    * float(np.exp(candidate.log_absent)),
                     p_here=summary.p_here,
                     state=candidate.state,  # type: ignore[arg-type]
                     note=candidate.note,

@@ -71,8 +71,14 @@ class Candidate:
     """Where those begin in memory."""
     share: dict[int, float] = field(default_factory=dict)
     """Detection number to the probability that this source sent it."""
+    rate_trust: float = 1.0
+    """How much its number of receptions says of how far it is heard: less where they were made at few places."""
+    based_on: dict[int, list[int]] = field(default_factory=dict)
+    """Detection number to the earlier ones its log-likelihood is conditioned on; empty without place noise."""
     absorbed: float = 0.0
     """Receptions whose likelihoods have been folded into the evidence for good."""
+    log_absent: float = 0.0
+    """log P(it sent none of those): what its existence rests on does not go with them."""
     certain_since: float | None = None
     """Receptions when its place first became certain enough, since it last was not."""
     rival: Rival | None = None
@@ -88,6 +94,7 @@ class Candidate:
         """Another that shares the arrays but claims for itself."""
         other = copy.copy(self)
         other.logs, other.address, other.share = dict(self.logs), dict(self.address), dict(self.share)
+        other.based_on = dict(self.based_on)
         other.evidence = self.evidence.copy()
         return other
 
@@ -107,6 +114,10 @@ class Candidate:
         """Bring the exposure (h, n) up to date."""
         self.exposure_s = exposure_s
         self.log_exposure = np.log(self.rate_prior_s + exposure_s)
+        if self.rate_trust < 1.0:
+            # Packets of one place are no independent witnesses of how far others would be heard.
+            middle = float(np.median(self.log_exposure))
+            self.log_exposure = middle + self.rate_trust * (self.log_exposure - middle)
 
     def posterior(self) -> FloatArray:
         """(h, n), sums to 1."""
@@ -165,8 +176,11 @@ class Candidate:
     def forget(self, number: int) -> None:
         """Fold a detection into the evidence for good: its share is final."""
         if number in self.logs:
-            self.absorbed += self.share.pop(number)
+            share = self.share.pop(number)
+            self.absorbed += share
+            self.log_absent += math.log1p(-min(share, 1.0 - 1e-9))
             del self.logs[number], self.address[number]
+            self.based_on.pop(number, None)
             self._receptions = None
 
 
@@ -183,9 +197,14 @@ class Summary:
 
 
 def summarise(
-    candidate: Candidate, posterior: FloatArray, power_db: FloatArray, outside: FloatArray, cell_m: float
+    candidate: Candidate,
+    posterior: FloatArray,
+    power_db: FloatArray,
+    outside: FloatArray,
+    cell_m: float,
+    radius_m: float | None = None,
 ) -> Summary:
-    """Mean place, covariance, and the probability of being within one cell of the mean.
+    """Mean place, covariance, and the probability of being within one cell (or a radius) of the mean.
 
     `power_db` (h - 1,) of the fixed hypotheses; the varying one counts as their known mean.
     """
@@ -193,7 +212,10 @@ def summarise(
     mean = place @ candidate.points_m
     offset = candidate.points_m - mean
     cov = (offset * place[:, None]).T @ offset
-    here = (np.abs(offset) <= cell_m).all(axis=1)
+    if radius_m is None:
+        here = (np.abs(offset) <= cell_m).all(axis=1)
+    else:
+        here = np.hypot(offset[:, 0], offset[:, 1]) <= radius_m
     by_power = posterior.sum(axis=1)
     fixed = by_power[:-1]
     power = float(fixed @ power_db / max(fixed.sum(), 1e-12))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Rival
 from fieldkit.engine.belief.intensity.responsibilities import entries_that_count, known_shares, take_over
+from fieldkit.engine.likelihood.places import redundancy
 from fieldkit.messages import FloatArray
 
 if TYPE_CHECKING:
@@ -44,14 +45,15 @@ def revise(mixture: "Mixture") -> bool | None:
     """
     for candidate in mixture.candidates:
         due = mixture.revise_at.setdefault(candidate.ident, FIRST)
-        if candidate.receptions >= due and candidate.absorbed == 0.0:
+        if candidate.receptions >= due:
             return _revise(mixture, candidate)
     return None
 
 
 def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     count, doubtful = candidate.receptions, candidate.state == "doubtful"
-    share = _told(candidate)
+    whole = _told(candidate)
+    share = _worth(mixture, whole)
     blank = _fresh(mixture, candidate, share, spacing=1.0)
     single = blank.copy()
     single.set_shares(list(share), list(share.values()))
@@ -65,21 +67,32 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
         candidate.rival = Rival(float(1.0 / (1.0 + np.exp(-odds_nats))), places, undecided)
     mixture.revise_at[candidate.ident] = _next_look(count, odds_nats, doubtful)
     if odds_nats > BETTER_NATS:
-        parts = [_retold(mixture, candidate, part.share) for part in pairs[int(np.argmax(scores))]]
+        best = pairs[int(np.argmax(scores))]
+        parts = [_retold(mixture, candidate, _undone(part.share, share, whole)) for part in best]
     else:
         moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.grid.cell_m
         if not (moved or doubtful):
             return False
-        parts = [_retold(mixture, candidate, share)]
-        if _score(parts, share) < _score([candidate], share) + BETTER_NATS:
+        parts = [_retold(mixture, candidate, whole)]
+        if _score(parts, whole) < _score([candidate], whole) + BETTER_NATS:
             return False
     mixture.remove(candidate)
     parts[0].ident = candidate.ident
     parts[0].state = candidate.state
+    told = math.fsum(part.receptions for part in parts)
+    for part in parts:
+        # What has been folded in, and what was not told, counts for its rate still; its place is known from the rest.
+        part.absorbed = candidate.absorbed * part.receptions / told
+        part.log_absent = candidate.log_absent
     mixture.candidates += parts
     for retold in parts:
         _know_all(mixture, retold)
     return True
+
+
+def _undone(part: dict[int, float], worth: dict[int, float], whole: dict[int, float]) -> dict[int, float]:
+    """A part's shares as they are without the discount for neighbours."""
+    return {number: share * whole[number] / worth[number] for number, share in part.items()}
 
 
 def _next_look(count: float, odds_nats: float, doubtful: bool) -> float:
@@ -99,6 +112,15 @@ def _told(candidate: Candidate) -> dict[int, float]:
     return dict(claimed[:: -(-len(claimed) // TOLD_DETECTIONS) or 1])
 
 
+def _worth(mixture: "Mixture", share: dict[int, float]) -> dict[int, float]:
+    """The same shares, each for what it is worth beside its neighbours when none is conditioned on the others."""
+    spread = mixture.settings.spread
+    if mixture.places is None or spread is None:
+        return share
+    worth = redundancy([mixture.open[number].near_m for number in share], spread)
+    return {number: part * float(each) for (number, part), each in zip(share.items(), worth, strict=True)}
+
+
 def _mean(candidate: Candidate) -> FloatArray:
     return np.asarray(candidate.posterior().sum(axis=0) @ candidate.points_m)
 
@@ -106,7 +128,7 @@ def _mean(candidate: Candidate) -> FloatArray:
 def _know_all(mixture: "Mixture", candidate: Candidate) -> None:
     for number, other in mixture.open.items():
         if number not in candidate.logs and mixture.in_reach(candidate, other):
-            candidate.know(number, mixture.model.log_likelihood(other.detection, candidate.points_m))
+            candidate.know(number, mixture.log_likelihood(candidate, number))
 
 
 def _fresh(
@@ -126,7 +148,13 @@ def _retold(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -
     """A new candidate, on the usual points, that claims these shares."""
     claimed = {number: part for number, part in share.items() if part > 0.0}
     fresh = _fresh(mixture, candidate, claimed, spacing=1.0)
-    fresh.set_shares(list(claimed), list(claimed.values()))
+    if mixture.places is None:
+        fresh.set_shares(list(claimed), list(claimed.values()))
+    else:
+        # Each is conditioned on those claimed before it: one after another, over again with the right ones.
+        for number, part in claimed.items():
+            fresh.know(number, mixture.log_likelihood(fresh, number))
+            fresh.set_share(number, part)
     fresh.prune()
     return fresh
 

@@ -6,6 +6,7 @@ detections better than those there are; two become one where one explains better
 supports any more is dropped. `stories` re-tells the history of a candidate that may be stuck.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Su
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.levels import LevelsModel
+from fieldkit.engine.likelihood.places import Earlier, PlaceNoise, levels_of, redundancy
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening
 
@@ -24,11 +26,16 @@ MAX_OPEN = 300
 """Detections kept open for re-attribution; older ones are folded into their sources."""
 CLUTTER_HZ = 2e-4
 """Rate of detections that come from no source: noise, other bands, reflections."""
+KEPT_OPEN = 40
+"""A source with fewer open detections than this keeps them."""
 FINE = 0.5
 """Spacing of a candidate's points, in cells."""
 REFINE_POINTS = 300
 """A candidate on one point a cell is told on the finer points once no more than these are left."""
 SWEEPS = 3
+CLAIMED = 0.5
+"""Share from which on a detection is conditioned on as the candidate's own."""
+NOTHING_EARLIER = Earlier(np.zeros((0, 2)), np.zeros(0))
 BIRTH_ODDS = 1.5
 """Expected number of further sources that speak for themselves at which one is given a candidate."""
 DEATH_RECEPTIONS = 0.3
@@ -64,11 +71,17 @@ class Mixture:
         self.grid = settings.grid
         self.model = LevelsModel(
             settings.antenna,
-            settings.power_levels_db,
+            levels_of(settings.power_levels_db, settings.spread),
             float(np.hypot(settings.pose_sigma_m, FINE * settings.grid.cell_m / np.sqrt(12.0))),
         )
         self.exposure_s = np.zeros((self.model.power_db.size, *self.grid.shape))
         """(h - 1, n_north, n_east): P(some robot hears) integrated over the time listened, for each fixed power."""
+        self.places = (
+            PlaceNoise(self.model, settings.spread, settings.reference_rate_hz)
+            if settings.spread is not None and settings.place_noise
+            else None
+        )
+        """What readings and silence of one place have in common; None where nothing."""
         self.rate_prior_s = RATE_SHAPE / settings.reference_rate_hz
         """b of the Gamma prior of a source's rate."""
         self.candidates: list[Candidate] = []
@@ -85,6 +98,9 @@ class Mixture:
 
     def listen(self, listening: Listening) -> None:
         """Add to the exposure of the ground where robots listened."""
+        if self.places is not None:
+            self.places.listen(self.exposure_s, self.grid.cell_m, listening)
+            return
         levels_loops.add_exposure(
             self.exposure_s,
             self.grid.cell_m,
@@ -100,6 +116,7 @@ class Mixture:
         for detection in detections:
             self._open(detection)
         for candidate in self.candidates:
+            candidate.rate_trust = self._rate_trust(candidate)
             candidate.expose(self.exposure_at(candidate.points_m))
         self.sweep(SWEEPS)
         for _ in range(1 + len(detections)):
@@ -125,14 +142,66 @@ class Mixture:
         self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
         for candidate in self.candidates:
             if self.in_reach(candidate, stored):
-                candidate.know(number, self.model.log_likelihood(detection, candidate.points_m))
+                candidate.know(number, self.log_likelihood(candidate, number))
+
+    def log_likelihood(self, candidate: Candidate, number: int) -> FloatArray:
+        """(h, n) of an open detection over the candidate's points, given what it claims to have sent before."""
+        detection = self.open[number].detection
+        if self.places is None:
+            return self.model.log_likelihood(detection, candidate.points_m)
+        claimed = [
+            other
+            for other, share in candidate.share.items()
+            if share >= CLAIMED and other < number and other in self.open
+        ]
+        candidate.based_on[number] = claimed
+        own = [self.open[other] for other in claimed]
+        if not own:
+            return self.places.log_likelihood(detection, candidate.points_m, NOTHING_EARLIER)
+        place, rss = (
+            np.concatenate([each.near_m for each in own]),
+            np.concatenate([each.rss_dbm for each in own]),
+        )
+        use = ~np.isnan(rss)
+        return self.places.log_likelihood(detection, candidate.points_m, Earlier(place[use], rss[use]))
 
     def next_ident(self) -> int:
         """An identity no candidate has had."""
         self._next_ident += 1
         return self._next_ident - 1
 
+    def _rate_trust(self, candidate: Candidate) -> float:
+        """Mean worth of what it claims beside its neighbours; 1 without place noise."""
+        if self.places is None or self.settings.spread is None:
+            return 1.0
+        own = [
+            self.open[number].near_m
+            for number, share in candidate.share.items()
+            if share >= CLAIMED and number in self.open
+        ]
+        return float(redundancy(own, self.settings.spread).mean()) if own else 1.0
+
+    def _condition(self) -> None:
+        """Tell anew what rests on detections that a candidate no longer claims, or lacks one that it does now."""
+        for candidate in self.candidates:
+            for number, share in candidate.share.items():
+                if share < 0.05 or number not in self.open:
+                    continue
+                claimed = [
+                    other
+                    for other, part in candidate.share.items()
+                    if part >= CLAIMED and other < number and other in self.open
+                ]
+                if claimed == candidate.based_on.get(number):
+                    continue
+                old = candidate.logs[number]
+                candidate.know(number, self.log_likelihood(candidate, number))
+                candidate.evidence += share * (candidate.logs[number] - old)
+                self._summaries.pop(candidate.ident, None)
+
     def _settle(self) -> None:
+        if self.places is not None:
+            self._condition()
         if self._merge():
             self.sweep(1)
         self._bury()
@@ -239,7 +308,12 @@ class Mixture:
         """The candidate's posterior in a few numbers, kept until it changes."""
         if candidate.ident not in self._summaries:
             self._summaries[candidate.ident] = summarise(
-                candidate, candidate.posterior(), self.model.power_db, self.model.outside, self.grid.cell_m
+                candidate,
+                candidate.posterior(),
+                self.model.power_db,
+                self.model.outside,
+                self.grid.cell_m,
+                self.settings.find_radius_m,
             )
         return self._summaries[candidate.ident]
 
@@ -285,7 +359,7 @@ class Mixture:
         for number, stored in self.open.items():
             if not self.in_reach(candidate, stored):
                 continue
-            candidate.know(number, self.model.log_likelihood(stored.detection, candidate.points_m))
+            candidate.know(number, self.log_likelihood(candidate, number))
             row0, row1, column0, column1 = stored.box
             if row0 <= row < row1 and column0 <= column < column1:
                 like = stored.like[level, (row - row0) * (column1 - column0) + column - column0]
@@ -334,7 +408,7 @@ class Mixture:
         candidate.spacing_m = half
         candidate.expose(self.exposure_at(candidate.points_m))
         for number, share in candidate.share.items():
-            log = self.model.log_likelihood(self.open[number].detection, candidate.points_m)
+            log = self.log_likelihood(candidate, number)
             candidate.know(number, log)
             candidate.evidence += share * log
 
@@ -356,6 +430,8 @@ class Mixture:
                         for number, share in drop.share.items():
                             if number in keep.share and share > 0.0:
                                 keep.set_share(number, min(1.0, keep.share[number] + share))
+                        keep.absorbed += drop.absorbed
+                        keep.log_absent += drop.log_absent
                         self.remove(drop)
                         self._summaries.pop(keep.ident, None)
                         done, merged = False, True
@@ -383,9 +459,19 @@ class Mixture:
             self.remove(candidate)
 
     def _fold(self) -> None:
-        """Close the oldest detections beyond `MAX_OPEN`."""
+        """Close old detections beyond `MAX_OPEN`: of sources that have many, so that no rare one is forgotten."""
         while len(self.open) > MAX_OPEN:
-            oldest = next(iter(self.open))
+            number = self._to_fold()
             for candidate in self.candidates:
-                candidate.forget(oldest)
-            del self.open[oldest], self.unclaimed[oldest], self.explained[oldest]
+                candidate.forget(number)
+            del self.open[number], self.unclaimed[number], self.explained[number]
+
+    def _to_fold(self) -> int:
+        """The oldest detection of whoever claims most of the open ones; the oldest of all where nobody has many."""
+        if not self.candidates:
+            return next(iter(self.open))
+        held = [math.fsum(candidate.share.values()) for candidate in self.candidates]
+        most = self.candidates[int(np.argmax(held))]
+        if max(held) < KEPT_OPEN:
+            return next(iter(self.open))
+        return next((n for n in self.open if most.share.get(n, 0.0) >= CLAIMED), next(iter(self.open)))

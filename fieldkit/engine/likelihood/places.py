@@ -1,0 +1,225 @@
+"""What one candidate's readings, and the team's silence, have in common because they were made at the same places.
+
+A reading is conditioned on the candidate's own earlier readings nearby (`correlated` says how and why); what is heard
+of it at the fiftieth time in one place says little new. A place that has been silent for long is one witness: the
+longer, the less a further second counts there. Without place noise both are what independent readings give.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from fieldkit.channel.model import MIN_RANGE_M
+from fieldkit.channel.spread import ChannelSpread
+from fieldkit.engine.likelihood import levels_loops
+from fieldkit.engine.likelihood.levels import (
+    _PER_SIGMA,
+    _SILENT_FROM,
+    OUTLIER_WIDTH,
+    OUTLIERS,
+    PACKET_LOSS,
+    LevelsModel,
+    _tables,
+)
+from fieldkit.messages import Detection, FloatArray, Listening
+
+NEIGHBOURS = 6
+REACH = 2.5
+"""Readings further away than so many correlation lengths are no neighbours."""
+DEEPEST = 2.0
+"""No shadow of more deviations than this is expected from what neighbours heard."""
+LEVEL_STEP_DB = 3.0
+SPENT_S = (0.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0, 640.0)
+"""Seconds a place has been listened at, at which a further second's worth is tabled."""
+_DEVIATES = np.array([-2.0, -1.2, -0.4, 0.4, 1.2, 2.0])
+_WEIGHTS = np.exp(-0.5 * _DEVIATES**2) / np.exp(-0.5 * _DEVIATES**2).sum()
+
+
+def levels_of(known_db: tuple[float, ...], spread: ChannelSpread | None) -> tuple[float, ...]:
+    """The power hypotheses: the known levels, and where transmitters differ all between and around them.
+
+    A shadow that a source lies under all over looks like another power: without room for it the source is taken
+    for one of no known level.
+    """
+    if spread is None or spread.sigma_place_db <= 0.0:
+        return known_db
+    wide = float(np.hypot(min(spread.transmitter_db, 12.0), spread.sigma_place_db))
+    low, high = min(known_db) - wide, max(known_db) + wide
+    return tuple(np.linspace(low, high, max(3, int(np.ceil((high - low) / LEVEL_STEP_DB)) + 1)).tolist())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Earlier:
+    """A candidate's own readings: where (k, 2) and how strong (k,)."""
+
+    place_m: FloatArray
+    rss_dbm: FloatArray
+
+
+class PlaceNoise:
+    """See the module; for one channel."""
+
+    def __init__(self, model: LevelsModel, spread: ChannelSpread, rate_hz: float) -> None:
+        self.model = model
+        self.place_var = spread.sigma_place_db**2
+        self.time_var = spread.sigma_time_db**2
+        self.length_m = max(spread.correlation_m, 1e-6)
+        self._spent_s: dict[tuple[int, int], float] = {}
+        steps = model.hear.shape[1]
+        range_m = np.sqrt((np.arange(steps) + 0.5) * model.step2_m2)
+        self._hear = np.stack([self._worth(spent_s, rate_hz, range_m) for spent_s in SPENT_S])
+
+    def _worth(self, spent_s: float, rate_hz: float, range_m: FloatArray) -> FloatArray:
+        """(h - 1, steps) P(heard) that a further second counts for after a silence of T.
+
+        E[p exp(-rate p T)] / E[exp(-rate p T)] over the shadowing that the place may have.
+        """
+        mean = self.model.level_dbm[:, None] - self.model.ten_beta * np.log10(
+            np.maximum(range_m, MIN_RANGE_M)
+        )
+        margin = mean - self.model.antenna.threshold_dbm - 0.5
+        top, below = np.zeros(margin.shape), np.zeros(margin.shape)
+        for deviate, weight in zip(_DEVIATES, _WEIGHTS, strict=True):
+            shadowed = (margin + deviate * np.sqrt(self.place_var)) / np.sqrt(self.time_var)
+            heard = (1.0 - PACKET_LOSS) * np.exp(log_ndtr(shadowed))
+            silent = weight * np.exp(-rate_hz * heard * spent_s)
+            top += heard * silent
+            below += silent
+        return np.asarray(top / below)
+
+    def listen(self, exposure_s: FloatArray, cell_m: float, listening: Listening) -> None:
+        """Add what a stretch of listening is worth, and remember where it was."""
+        keys = [tuple(each) for each in np.floor(listening.position_m / self.length_m).astype(int).tolist()]
+        spent = np.array([self._spent_s.get(key, 0.0) for key in keys])
+        which = np.argmin(np.abs(spent[:, None] - np.array(SPENT_S)), axis=1).astype(np.int64)
+        for key in keys:
+            self._spent_s[key] = self._spent_s.get(key, 0.0) + listening.duration_s
+        levels_loops.add_exposure_at_places(
+            exposure_s,
+            cell_m,
+            listening.position_m,
+            which,
+            self._hear,
+            self.model.step2_m2,
+            self.model.limit2_m2,
+            listening.duration_s,
+        )
+
+    def log_likelihood(self, detection: Detection, points_m: FloatArray, earlier: Earlier) -> FloatArray:
+        """(h, n): as the model's, given what was heard earlier of the same source, and by robots named before."""
+        near, near_rss, weights, explained = self._neighbours(detection, earlier)
+        fixed = np.empty((self.model.level_dbm.size, points_m.shape[0]))
+        levels_loops.conditional_loglik(
+            np.ascontiguousarray(points_m),
+            detection.position_m,
+            detection.rss_dbm,
+            detection.saturated.astype(float),
+            near,
+            near_rss,
+            weights,
+            explained,
+            self.time_var + self.place_var,
+            DEEPEST * float(np.sqrt(self.place_var)),
+            self.model.level_dbm,
+            self.model.ten_beta,
+            self.model.antenna.threshold_dbm,
+            MIN_RANGE_M,
+            self.model.place_sigma_m,
+            PACKET_LOSS,
+            OUTLIERS,
+            OUTLIER_WIDTH,
+            *_tables(),
+            _SILENT_FROM,
+            _PER_SIGMA,
+            fixed,
+        )
+        known = fixed[: self.model.n_known]
+        best = known.max(axis=0)
+        varying = best + np.log(np.exp(known - best).mean(axis=0))
+        return np.concatenate([fixed, varying[None, :]])
+
+    def misfit(
+        self, detections: Sequence[Detection], point_m: FloatArray, level_dbm: float
+    ) -> tuple[float, int]:
+        """Mean squared standardised residual one step ahead of a source's readings, and how many there are."""
+        squares: list[float] = []
+        earlier = Earlier(np.zeros((0, 2)), np.zeros(0))
+        slope = self.model.ten_beta / np.log(10.0) * self.model.place_sigma_m
+        alone = self.time_var + self.place_var
+        furthest = DEEPEST * float(np.sqrt(self.place_var))
+        for detection in detections:
+            near, near_rss, weights, explained = self._neighbours(detection, earlier)
+            away2 = np.maximum(((near - point_m) ** 2).sum(axis=-1), MIN_RANGE_M**2)
+            trust = alone / (alone + slope**2 / (away2 + self.model.place_sigma_m**2))
+            off = trust * weights * (near_rss - level_dbm + 0.5 * self.model.ten_beta * np.log10(away2))
+            expected = np.clip(off.sum(axis=1), -furthest, furthest)
+            use = detection.heard & ~detection.saturated
+            place, rss = detection.position_m[use], detection.rss_dbm[use]
+            d2 = np.maximum(((place - point_m) ** 2).sum(axis=1), MIN_RANGE_M**2)
+            left = alone - (trust * explained).sum(axis=1)[use]
+            variance = left + slope**2 / (d2 + self.model.place_sigma_m**2) + 1.0 / 12.0
+            residual = rss - level_dbm + 0.5 * self.model.ten_beta * np.log10(d2) - expected[use]
+            squares += np.minimum(residual**2 / variance, 12.0).tolist()
+            earlier = Earlier(
+                np.concatenate([earlier.place_m, place]), np.concatenate([earlier.rss_dbm, rss])
+            )
+        return (float(np.mean(squares)) if squares else 0.0), len(squares)
+
+    def _neighbours(
+        self, detection: Detection, earlier: Earlier
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Of each robot (m,) the nearest earlier readings, their weights, and what variance each explains."""
+        m = detection.position_m.shape[0]
+        near, near_rss = np.zeros((m, NEIGHBOURS, 2)), np.zeros((m, NEIGHBOURS))
+        weights, explained = np.zeros((m, NEIGHBOURS)), np.zeros((m, NEIGHBOURS))
+        use = detection.heard & ~detection.saturated
+        # Who heard goes first: silence is conditioned on it.
+        order = np.argsort(~detection.heard, kind="stable")
+        place, rss = earlier.place_m, earlier.rss_dbm
+        for q in order.tolist():
+            if rss.size:
+                self._fill(q, detection.position_m[q], place, rss, near, near_rss, weights, explained)
+            if use[q]:
+                place = np.concatenate([place, detection.position_m[q : q + 1]])
+                rss = np.append(rss, detection.rss_dbm[q])
+        return near, near_rss, weights, explained
+
+    def _fill(
+        self,
+        q: int,
+        at_m: FloatArray,
+        place_m: FloatArray,
+        rss_dbm: FloatArray,
+        near: FloatArray,
+        near_rss: FloatArray,
+        weights: FloatArray,
+        explained: FloatArray,
+    ) -> None:
+        away = np.hypot(place_m[:, 0] - at_m[0], place_m[:, 1] - at_m[1])
+        order = np.argsort(away, kind="stable")[:NEIGHBOURS]
+        order = order[away[order] < REACH * self.length_m]
+        if order.size == 0:
+            return
+        place = place_m[order]
+        apart = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=-1))
+        cov = self.place_var * np.exp(-apart / self.length_m)
+        cov[np.diag_indices_from(cov)] += self.time_var + 1.0 / 12.0
+        cross = self.place_var * np.exp(-away[order] / self.length_m)
+        solved = np.linalg.solve(cov, cross)
+        count = order.size
+        near[q, :count], near_rss[q, :count] = place, rss_dbm[order]
+        weights[q, :count], explained[q, :count] = solved, np.maximum(solved * cross, 0.0)
+
+
+def redundancy(place_m: Sequence[FloatArray], spread: ChannelSpread) -> FloatArray:
+    """(k,) how much each detection counts when its neighbours are not conditioned on: 1 for one that stands alone."""
+    if not place_m:
+        return np.ones(0)
+    middle = np.array([each.mean(axis=0) for each in place_m])
+    apart = np.sqrt(((middle[:, None] - middle[None]) ** 2).sum(axis=-1))
+    part = spread.sigma_place_db**2 / (spread.sigma_place_db**2 + spread.sigma_time_db**2 + 1.0 / 12.0)
+    shared = part * np.exp(-apart / max(spread.correlation_m, 1e-6))
+    np.fill_diagonal(shared, 0.0)
+    return np.asarray(1.0 / (1.0 + shared.sum(axis=1)))

@@ -1,0 +1,242 @@
+"""Readings and silence of one place: against plain numpy, and what becomes of them where places make no noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from fieldkit.channel.model import MIN_RANGE_M, Antenna
+from fieldkit.channel.spread import ChannelSpread
+from fieldkit.engine.belief.intensity.belief import IntensityBelief
+from fieldkit.engine.grid import Grid
+from fieldkit.engine.likelihood import levels_loops
+from fieldkit.engine.likelihood.levels import OUTLIER_WIDTH, OUTLIERS, PACKET_LOSS, LevelsModel
+from fieldkit.engine.likelihood.places import DEEPEST, Earlier, PlaceNoise, levels_of, redundancy
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import Detection, Listening
+from fieldkit.world.shadowing import ShadowField
+
+LEVELS = (-8.0, -4.0, 0.0)
+SPREAD = ChannelSpread(2.0, 4.0, 3.0, transmitter_db=0.1)
+ANTENNA = Antenna(2.53, -62.0, float(np.hypot(2.0, 4.0)), -80.0)
+NONE = Earlier(np.zeros((0, 2)), np.zeros(0))
+
+
+def detection(rss, position, t_ns=0):
+    m = len(rss)
+    return Detection(
+        t_ns,
+        tuple(f"r{i}" for i in range(m)),
+        np.array(position, dtype=float).reshape(m, 2),
+        np.zeros(m),
+        np.array(rss, dtype=float),
+        np.zeros(m, dtype=bool),
+    )
+
+
+def noise(spread=SPREAD, antenna=ANTENNA, levels=LEVELS):
+    model = LevelsModel(antenna, levels, 0.1)
+    return model, PlaceNoise(model, spread, 0.05)
+
+
+def test_one_robot_and_nothing_earlier_is_the_reading_alone():
+    model, places = noise()
+    d = detection([-70.0], [(1.0, 2.0)])
+    points = np.random.default_rng(0).uniform(0.0, 6.0, (50, 2))
+    assert places.log_likelihood(d, points, NONE) == pytest.approx(model.log_likelihood(d, points), abs=1e-9)
+
+
+def test_without_place_noise_it_equals_independent_readings():
+    """Two robots and a reading before: with nothing that belongs to places, all stand alone."""
+    still = ChannelSpread(ANTENNA.sigma_db, 0.0, 3.0)
+    model, places = noise(still)
+    d = detection([-70.0, np.nan, -66.0], [(1.0, 2.0), (4.0, 4.0), (1.5, 2.0)])
+    points = np.random.default_rng(1).uniform(0.0, 6.0, (50, 2))
+    earlier = Earlier(np.array([[1.1, 2.0]]), np.array([-60.0]))
+    assert places.log_likelihood(d, points, earlier) == pytest.approx(
+        model.log_likelihood(d, points), abs=1e-9
+    )
+
+
+def twin(model, d, point, level_dbm, earlier):
+    """log p robot by robot, those who heard first, from the docstrings of `levels` and `places`."""
+    smear = 25.3 / np.log(10.0) * model.place_sigma_m
+    alone = SPREAD.sigma_time_db**2 + SPREAD.sigma_place_db**2
+    place, rss = list(earlier.place_m), list(earlier.rss_dbm)
+    total = 0.0
+    for q in np.argsort(~d.heard, kind="stable"):
+        at = d.position_m[q]
+        away = np.array([np.hypot(*(p - at)) for p in place])
+        shift, left = 0.0, alone
+        if away.size:
+            cov = np.array([[np.hypot(*(a - b)) for a in place] for b in place])
+            cov = 16.0 * np.exp(-cov / 3.0) + np.eye(away.size) * (4.0 + 1.0 / 12.0)
+            cross = 16.0 * np.exp(-away / 3.0)
+            weights = np.linalg.solve(cov, cross)
+            for w, c, p, z in zip(weights, cross, place, rss, strict=True):
+                range2 = max(float(((p - point) ** 2).sum()), MIN_RANGE_M**2)
+                trust = alone / (alone + smear**2 / (range2 + model.place_sigma_m**2))
+                shift += trust * w * (z - level_dbm + 12.65 * np.log10(range2))
+                left -= trust * max(w * c, 0.0)
+        shift = float(np.clip(shift, -4.0 * DEEPEST, 4.0 * DEEPEST))
+        range2 = max(float(((at - point) ** 2).sum()), MIN_RANGE_M**2)
+        sigma = np.sqrt(left + smear**2 / (range2 + model.place_sigma_m**2))
+        mean = level_dbm - 12.65 * np.log10(range2) + shift
+        if np.isnan(d.rss_dbm[q]):
+            total += np.log(PACKET_LOSS + (1 - PACKET_LOSS) * norm.cdf(-79.5, mean, sigma))
+            continue
+        wide = np.sqrt(sigma**2 + 1.0 / 12.0)
+        z = d.rss_dbm[q]
+        total += np.log(
+            (1 - PACKET_LOSS)
+            * ((1 - OUTLIERS) * norm.pdf(z, mean, wide) + OUTLIERS * norm.pdf(z, mean, OUTLIER_WIDTH * wide))
+        )
+        place, rss = [*place, at], [*rss, z]
+    return total
+
+
+def test_the_compiled_loop_agrees_with_a_plain_twin():
+    model, places = noise()
+    d = detection([-70.0, np.nan, -66.0], [(1.0, 2.0), (4.0, 4.0), (1.5, 2.0)])
+    earlier = Earlier(np.array([[1.1, 2.0], [3.0, 3.0]]), np.array([-60.0, -71.0]))
+    points = np.random.default_rng(2).uniform(0.0, 6.0, (30, 2))
+    log = places.log_likelihood(d, points, earlier)
+    for h, level in enumerate(model.level_dbm):
+        assert log[h] == pytest.approx([twin(model, d, p, level, earlier) for p in points], abs=2e-4)
+
+
+def test_the_next_reading_of_a_place_tells_little_of_the_distance():
+    """What separates two distances by 10 dB at first separates them by half as much in the second reading."""
+    _, places = noise(levels=(0.0,))
+    d = detection([-62.0], [(0.0, 0.0)])
+    points = np.array([[1.0, 0.0], [2.5, 0.0]])
+    first = places.log_likelihood(d, points, NONE)[0]
+    second = places.log_likelihood(d, points, Earlier(np.zeros((1, 2)), np.array([-62.0])))[0]
+    assert second[0] - second[1] < 0.5 * (first[0] - first[1])
+
+
+def test_silence_of_one_place_counts_less_the_longer_it_was():
+    model, places = noise()
+    exposure = np.zeros((model.power_db.size, 20, 20))
+    worth = []
+    for k in range(400):
+        before = exposure[1].sum()
+        places.listen(exposure, 0.5, Listening(k * 10**9, (k + 1) * 10**9, ("r0",), np.array([[5.0, 5.0]])))
+        worth.append(exposure[1].sum() - before)
+    assert worth[0] > 1.2 * worth[-1] > 0.0
+    alone = np.zeros_like(exposure)
+    model, still = noise(ChannelSpread(ANTENNA.sigma_db, 0.0, 3.0))
+    still.listen(alone, 0.5, Listening(0, 10**9, ("r0",), np.array([[5.0, 5.0]])))
+    twin = np.zeros_like(exposure)
+    belief_model = LevelsModel(ANTENNA, LEVELS, 0.1)
+    levels_loops.add_exposure(
+        twin,
+        0.5,
+        np.array([[5.0, 5.0]]),
+        belief_model.hear,
+        belief_model.step2_m2,
+        belief_model.limit2_m2,
+        1.0,
+    )
+    assert alone == pytest.approx(twin, abs=2e-5)  # the reach ends where one packet in 100,000 is heard
+
+
+def test_neighbours_make_each_other_redundant():
+    far = redundancy([np.array([[0.0, 0.0]]), np.array([[500.0, 0.0]])], SPREAD)
+    near = redundancy([np.array([[0.0, 0.0]])] * 10, SPREAD)
+    assert far == pytest.approx([1.0, 1.0]) and (near < 0.15).all()
+
+
+def test_power_hypotheses_reach_as_far_as_shadows_do():
+    assert levels_of(LEVELS, None) == LEVELS
+    wide = levels_of(LEVELS, SPREAD)
+    assert min(wide) < -11.0 and max(wide) > 3.0 and max(np.diff(wide)) <= 3.0
+
+
+# The belief
+
+SHORT = Antenna(2.53, float(-90.0 + 25.3 * np.log10(3.45)), float(np.hypot(2.0, 3.0)), -90.0)
+PLACES = ChannelSpread(2.0, 3.0, 5.0, transmitter_db=0.1)
+
+
+def engine(**changes):
+    base = EngineSettings(
+        Grid(12.0, 12.0, 0.5), SHORT, (("r0", "r1"),), (-4.0, -2.0, 0.0), spread=PLACES, found_within_m=1.0
+    )
+    return replace(base, **changes)
+
+
+def fed(seed, n=30, settings=None):
+    """Two robots abreast drive lanes over a source under shadowing."""
+    rng = np.random.default_rng(seed)
+    field = ShadowField(3.0, 5.0, rng)
+    belief = IntensityBelief(settings or engine())
+    source = np.array([6.5, 5.5])
+    for k in range(n):
+        east, north = 3.5 + 5.0 * rng.random(), 2.5 + 5.0 * rng.random()
+        place = np.array([[east, north], [east + 1.5, north]])
+        mean = SHORT.mean_rss_dbm(np.maximum(np.hypot(*(place - source).T), 0.05)) + field.at(place)
+        z = np.round(mean + 2.0 * rng.standard_normal(2))
+        belief.listen(Listening(20 * k * 10**9, 20 * (k + 1) * 10**9, ("r0", "r1"), place))
+        z = np.where(z > SHORT.threshold_dbm, z, np.nan)
+        if not np.isnan(z).all():
+            belief.detect(detection(z.tolist(), place, t_ns=20 * k * 10**9))
+    return belief, source
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_under_shadowing_one_source_stays_one_and_near(seed):
+    belief, source = fed(seed)
+    estimates = [each for each in belief.sources() if each.receptions > 2.0]
+    assert len(estimates) == 1
+    assert np.hypot(estimates[0].east_m - source[0], estimates[0].north_m - source[1]) < 1.0
+    assert estimates[0].state == "found"
+
+
+def test_the_same_calls_give_the_same_bits():
+    assert fed(5, n=12)[0].digest() == fed(5, n=12)[0].digest()
+
+
+def test_a_find_is_two_metres_or_a_tenth_of_the_range_where_places_make_noise():
+    assert engine(spread=None, found_within_m=None).find_radius_m is None
+    assert engine(found_within_m=None).find_radius_m == pytest.approx(2.0)
+    assert engine(found_within_m=0.7).find_radius_m == 0.7
+
+
+def test_a_source_heard_often_makes_no_other_be_forgotten(monkeypatch):
+    """The open detections are few here, so that it does not take three hundred packets."""
+    from fieldkit.engine.belief.intensity import mixture
+
+    monkeypatch.setattr(mixture, "MAX_OPEN", 36)
+    monkeypatch.setattr(mixture, "KEPT_OPEN", 20)
+    belief = IntensityBelief(engine(spread=None, found_within_m=None))
+    rng = np.random.default_rng(9)
+
+    def packets(source, count):
+        for _ in range(count):
+            place = source + rng.uniform(-1.5, 1.5, 2)
+            mean = SHORT.mean_rss_dbm(max(0.3, float(np.hypot(*(place - source)))))
+            z = round(float(mean + rng.normal(0.0, 3.0)))
+            if z > SHORT.threshold_dbm:
+                belief.detect(detection([float(z)], [tuple(place)]))
+
+    packets(np.array([3.0, 3.0]), 14)
+    packets(np.array([9.0, 9.0]), 45)
+    near = [each for each in belief.sources() if np.hypot(each.east_m - 3.0, each.north_m - 3.0) < 1.0]
+    assert len(belief.mixture.open) <= 36
+    most = max(near, key=lambda each: each.receptions)
+    assert most.p_exists > 0.99
+    # Its detections are open still: it can be divided, re-estimated and merged.
+    kept = next(c for c in belief.candidates if c.ident == most.ident)
+    assert kept.receptions - kept.absorbed > 6.0
+
+
+def test_what_was_folded_goes_on_vouching_for_a_source():
+    belief, _ = fed(1, n=12, settings=engine(spread=None, found_within_m=None))
+    (candidate,) = [c for c in belief.candidates if c.receptions > 3.0]
+    before = next(each.p_exists for each in belief.sources() if each.ident == candidate.ident)
+    for number in list(candidate.share):
+        candidate.forget(number)
+    after = next(each.p_exists for each in belief.sources() if each.ident == candidate.ident)
+    assert after == pytest.approx(before, abs=1e-12) and before > 0.99
