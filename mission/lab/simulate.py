@@ -25,6 +25,7 @@ from fieldkit.messages import (
 )
 from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.rover import Rover
+from fieldkit.world.shadowing import ShadowField
 from fieldkit.world.sources import TransientSource, Transmissions
 from mission.core.kernel import Kernel, KernelSettings, Outcome
 
@@ -44,6 +45,14 @@ class Truth:
     pose_bias_m: float = 0.0
     """Each robot's position is off by this much in a direction of its own."""
     max_speed_m_s: float = 0.4
+    shadow: tuple[ShadowField, ...] = ()
+    """Of each source the shadowing that belongs to places; empty: none."""
+    offset_db: tuple[float, ...] = ()
+    """How much more each robot's receiver reports, in the order of the teams; empty: all alike."""
+    pose_wander_m: float = 0.0
+    """Deviation of a position error that wanders, as of satellites, the same for all robots of a moment."""
+    pose_wander_s: float = 60.0
+    """How long such an error lasts."""
 
 
 @dataclass(slots=True)
@@ -73,7 +82,7 @@ def simulate(
     recorder is put in.
     """
     kernel = Kernel(settings)
-    rng_traffic, rng_channel, rng_pose = (np.random.default_rng([seed, k]) for k in range(3))
+    rng_traffic, rng_channel, rng_pose, rng_wander = (np.random.default_rng([seed, k]) for k in range(4))
     robots = settings.engine.robots
     rovers = {
         r: Rover(e, n, max_speed_m_s=truth.max_speed_m_s)
@@ -90,10 +99,14 @@ def simulate(
     end_reason = ""
     t_s = 0.0
     before = {robot: (rover.east_m, rover.north_m) for robot, rover in rovers.items()}
+    wander = rng_wander.normal(0.0, truth.pose_wander_m, 2) if truth.pose_wander_m > 0.0 else np.zeros(2)
     while not end_reason:
+        if truth.pose_wander_m > 0.0:
+            kept = np.exp(-step_s / truth.pose_wander_s)
+            wander = kept * wander + rng_wander.normal(0.0, truth.pose_wander_m, 2) * np.sqrt(1.0 - kept**2)
         for robot, rover in rovers.items():
             noise = rng_pose.normal(0.0, truth.pose_sigma_m, 2) if truth.pose_sigma_m > 0 else np.zeros(2)
-            east, north = np.array([rover.east_m, rover.north_m]) + bias[robot] + noise
+            east, north = np.array([rover.east_m, rover.north_m]) + bias[robot] + noise + wander
             inbox.append(
                 Pose(
                     round(t_s * 1e9),
@@ -102,7 +115,7 @@ def simulate(
                     float(north),
                     0.0,
                     rover.heading_deg,
-                    truth.pose_sigma_m,
+                    float(np.hypot(truth.pose_sigma_m, truth.pose_wander_m)),
                 )
             )
         for at_s, source in traffic.until(t_s):
@@ -159,7 +172,12 @@ def _heard(
     """What the radios at `place` (m, 2), pointing to `heading_deg` (m,), heard, in the order of `clock_s`."""
     way = np.array([source.east_m, source.north_m]) - place
     off_front = np.degrees(np.arctan2(way[:, 0], way[:, 1])) - heading_deg
-    rss = sample_rss_dbm(truth.antenna, np.hypot(*way.T), source.power_db, rng, off_front)
+    more = np.zeros(place.shape[0])
+    if truth.shadow:
+        more = more + truth.shadow[truth.sources.index(source)].at(place)
+    if truth.offset_db:
+        more = more + np.array(truth.offset_db)
+    rss = sample_rss_dbm(truth.antenna, np.hypot(*way.T), source.power_db + more, rng, off_front)
     if truth.packet_loss > 0.0:
         rss = np.where(rng.random(rss.shape) < truth.packet_loss, np.nan, rss)
     ceiling = truth.antenna.saturation_dbm
