@@ -209,7 +209,6 @@ def test_a_source_heard_often_makes_no_other_be_forgotten(monkeypatch):
     from fieldkit.engine.belief.intensity import mixture
 
     monkeypatch.setattr(mixture, "MAX_OPEN", 36)
-    monkeypatch.setattr(mixture, "KEPT_OPEN", 20)
     belief = IntensityBelief(engine(spread=None, found_within_m=None))
     rng = np.random.default_rng(9)
 

@@ -6,7 +6,6 @@ detections better than those there are; two become one where one explains better
 supports any more is dropped. `stories` re-tells the history of a candidate that may be stuck.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,8 +25,6 @@ MAX_OPEN = 300
 """Detections kept open for re-attribution; older ones are folded into their sources."""
 CLUTTER_HZ = 2e-4
 """Rate of detections that come from no source: noise, other bands, reflections."""
-KEPT_OPEN = 40
-"""A source with fewer open detections than this keeps them."""
 FINE = 0.5
 """Spacing of a candidate's points, in cells."""
 REFINE_POINTS = 300
@@ -467,11 +464,13 @@ class Mixture:
             del self.open[number], self.unclaimed[number], self.explained[number]
 
     def _to_fold(self) -> int:
-        """The oldest detection of whoever claims most of the open ones; the oldest of all where nobody has many."""
-        if not self.candidates:
-            return next(iter(self.open))
-        held = [math.fsum(candidate.share.values()) for candidate in self.candidates]
-        most = self.candidates[int(np.argmax(held))]
-        if max(held) < KEPT_OPEN:
-            return next(iter(self.open))
-        return next((n for n in self.open if most.share.get(n, 0.0) >= CLAIMED), next(iter(self.open)))
+        """The oldest detection of whoever has most of the open ones, be that nobody."""
+        owner = {
+            number: max(self.candidates, key=lambda c: c.share.get(number, 0.0), default=None)
+            for number in self.open
+        }
+        of: dict[int, list[int]] = {}
+        for number, candidate in owner.items():
+            claimed = candidate is not None and candidate.share.get(number, 0.0) >= CLAIMED
+            of.setdefault(candidate.ident if claimed and candidate is not None else 0, []).append(number)
+        return max(of.values(), key=len)[0]
