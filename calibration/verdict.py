@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
-from calibration import diagnose
+import numpy as np
+
+from calibration import channel, diagnose
 from calibration.fit import FitResult
 from fieldkit.channel.antenna_file import Verdict as State
 
@@ -20,6 +22,8 @@ SURE = 0.01
 SWING_WARN_DB, SWING_REFUSE_DB = 3.0, 6.0
 SWING_REFUSE_SIGMA = 1.25
 """A bend refuses where it is also larger than this many sigma: below that the scatter hides it anyway."""
+SEVERAL_TRANSMITTERS, SWING_REFUSE_SPREAD = 3, 3.0
+"""With so many transmitters a bend may be so many deviations of their shadowing and lobes before it refuses."""
 HEADING_WARN_DB, HEADING_REFUSE_DB = 2.0, 6.0
 
 
@@ -170,6 +174,10 @@ def _structure(result: FitResult, refusals: list[str], warnings: list[str]) -> N
             "ground reflection or a wall); fit only the distances you will use (--min-distance-m)"
         )
         limit = max(SWING_REFUSE_DB, SWING_REFUSE_SIGMA * result.antenna.sigma_db)
+        spread, found, _ = channel.measured(result)
+        if found is not None and spread.transmitters >= SEVERAL_TRANSMITTERS:
+            # Lobes and shadowing of several transmitters bend the mean, and the belief knows of both.
+            limit = max(limit, SWING_REFUSE_SPREAD * float(np.hypot(spread.sigma_place_db, spread.lobe_db)))
         (refusals if bend.swing_db > limit else warnings).append(text)
 
 
