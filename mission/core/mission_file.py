@@ -11,6 +11,7 @@ import pydantic
 from fieldkit import plugins
 from fieldkit import settings as given
 from fieldkit.channel.antenna_file import AntennaFile, predictive_sigma_db, read_antenna, with_pattern
+from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
@@ -167,6 +168,18 @@ def _check_names(file: MissionFile, where: str) -> None:
             raise ConfigError(f"{where}: {key}: expected one of {', '.join(known)}, got {name!r}")
 
 
+def _spread(file: MissionFile, antenna: AntennaFile, where: str) -> ChannelSpread | None:
+    """What readings of one place have in common, where the mission asks for it and the antenna file tells."""
+    if not file.engine.place_noise:
+        return None
+    if antenna.spread is None or antenna.spread.assumed:
+        raise ConfigError(
+            f"{where}: engine.place_noise: the antenna file has no measured place noise; calibrate with positions "
+            "of both radios at 20 places or more, or leave the key out"
+        )
+    return antenna.spread
+
+
 def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: str, where: str) -> Mission:
     """Settings for every part, from a checked file and its antenna. Raises `ConfigError`."""
     field = file.field
@@ -181,6 +194,8 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         power_levels_db=file.sources.power_levels_db,
         found_probability=file.engine.found_probability,
         min_receptions=file.engine.min_receptions,
+        spread=_spread(file, antenna, where),
+        found_within_m=file.engine.found_within_m,
         reference_rate_hz=file.sources.rate_hz,
         expected_sources=file.sources.expected,
         planning_period_s=file.engine.planning_period_s,

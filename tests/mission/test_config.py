@@ -127,3 +127,16 @@ matrix = [[4.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
     widened = read_mission(folder / "mission.toml").kernel.engine.antenna.sigma_db
     assert before == pytest.approx(3.3)
     assert widened == pytest.approx((3.3**2 + 4.0) ** 0.5)
+
+
+def test_place_noise_is_taken_from_an_antenna_file_that_has_measured_it(folder: Path) -> None:
+    assert read_mission(folder / "mission.toml").kernel.engine.spread is None
+    change(folder, "[engine]", "[engine]\nplace_noise = true\nfound_within_m = 1.5")
+    with pytest.raises(ConfigError, match="no measured place noise"):
+        read_mission(folder / "mission.toml")
+    antenna = folder / "antenna.toml"
+    antenna.write_text(
+        antenna.read_text() + "\n[channel]\nsigma_time_db = 2.0\nsigma_place_db = 3.0\ncorrelation_m = 4.0\n"
+    )
+    engine = read_mission(folder / "mission.toml").kernel.engine
+    assert engine.place_noise and engine.find_radius_m == 1.5
