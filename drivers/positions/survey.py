@@ -155,21 +155,23 @@ def _clock_notes(
     """A warning where shifting the readings makes one source fit much better."""
     if len(found) != 1 or log.packets.count < 15:
         return []
-    as_is = engine.evidence(log.packets, radio, ground)
-    best_s, best = 0.0, as_is + CLEARLY_NATS
+    # A reading each: other clocks may give other readings a place.
+    count = log.packets.count
+    as_is = engine.evidence(log.packets, radio, ground) / count
+    best_s, best = 0.0, as_is + CLEARLY_NATS / count
     for shift_s in SHIFTS_S:
         moved = [replace(each, t_ns=each.t_ns + round(shift_s * 1e9)) for each in readings]
         other = packets_of(moved, poses, window_s=settings.window_s, max_gap_s=settings.max_gap_s)
         if other.packets.packet.size < log.packets.packet.size:
             continue
-        score = engine.evidence(other.packets, radio, ground)
+        score = engine.evidence(other.packets, radio, ground) / other.packets.count
         if score > best:
             best_s, best = shift_s, score
     if best_s == 0.0:
         return []
     return [
-        f"the readings fit one source much better {best_s:+.0f} s later (by {best - as_is:.0f} nats): the clocks of "
-        f"the two logs may disagree; check them, or give --shift-s {best_s:.0f}"
+        f"the readings fit one source much better {best_s:+.0f} s later (by {(best - as_is) * count:.0f} nats): the "
+        f"clocks of the two logs may disagree; check them, or give --shift-s {best_s:.0f}"
     ]
 
 

@@ -54,6 +54,13 @@ def test_a_drone_knows_that_it_flies():
     assert found.posterior.holds(np.array([70.0, 45.0]), 0.9)
 
 
+@cases
+def test_an_hour_between_clocks_that_still_overlap_is_told():
+    result = surveyed("r.csv", "p_comma.csv", "antenna", shift_s=3600.0)
+    assert any("-3600 s later" in note and "--shift-s" in note for note in result.notes)
+    assert not any("clocks" in note for note in surveyed("r.csv", "p_comma.csv", "antenna").notes)
+
+
 # Tables
 
 
