@@ -87,6 +87,8 @@ def run(target: str, trials: int, seed: int, progress: Progress) -> dict[str, An
     ]
     drawn = random.Random(seed).sample(every, min(trials, len(every)))
     there = [str(root / test) for test in tests if (root / test).exists()]
+    if is_killed(root, Mutant(files[0], 0, "", "", (root / files[0]).read_text(encoding="utf-8")), there):
+        raise ConfigError("mutants: the tests fail on the code as it is")
     alive: list[Mutant] = []
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         for done, (mutant, killed) in enumerate(
@@ -106,7 +108,8 @@ def run(target: str, trials: int, seed: int, progress: Progress) -> dict[str, An
 
 
 def is_killed(root: Path, mutant: Mutant, tests: list[str]) -> bool:
-    """Whether a test fails on a copy of the packages with this change."""
+    """Whether a test fails on a copy of the packages with this change. Tests of the changed file's name come first."""
+    tests = sorted(tests, key=lambda test: Path(mutant.path).stem not in test)
     with tempfile.TemporaryDirectory(prefix="fieldkit-mutant-") as folder:
         package = mutant.path.split("/", 1)[0]
         ignore = shutil.ignore_patterns("__pycache__")

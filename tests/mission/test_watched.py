@@ -96,15 +96,15 @@ def test_a_robot_strays_when_it_drives_more_than_60_degrees_off_its_segment(
 
 def test_a_robot_does_not_stray_while_it_turns_or_stands_or_is_as_good_as_there() -> None:
     def backwards(left_m: float = 20.0, speed_m_s: float = 0.2) -> Watched:
-        robot = on_its_way((50.0 + left_m, 50.0))
-        robot.velocity_m_s, robot.now_ns = (-speed_m_s, 0.0), ns(2.6)
+        robot = on_its_way((50.0 + left_m, 50.0), at_s=7.0)
+        robot.velocity_m_s, robot.now_ns = (-speed_m_s, 0.0), ns(7.0 + 2.6)
         return robot
 
     assert backwards().strays
     assert backwards(left_m=0.51).strays and not backwards(left_m=0.49).strays
     assert backwards(speed_m_s=0.16).strays and not backwards(speed_m_s=0.14).strays
     robot = backwards()
-    robot.now_ns = ns(2.4)
+    robot.now_ns = ns(7.0 + 2.4)
     assert not robot.strays, "its order is still on the way"
     robot = backwards()
     robot.stop()
