@@ -32,7 +32,10 @@ TARGETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
          "tests/mission/test_return_sequence.py", "tests/mission/test_monitor.py",
          "tests/mission/test_watched.py", "tests/mission/test_safety_rules.py"),
     ),
-    "kernel": (("mission/core/kernel.py",), ("tests/mission/test_kernel.py",)),
+    "kernel": (
+        ("mission/core/kernel.py",),
+        ("tests/mission/test_kernel_rules.py", "tests/mission/test_kernel.py"),
+    ),
     "association": (
         ("fieldkit/engine/association/detections.py",), ("tests/engine/test_detections.py",)
     ),
