@@ -35,6 +35,8 @@ def test_way_points_keep_the_margin_and_robots_the_bounds(margin_m: float) -> No
     assert limits.bounds.clearance_m((10.0, 30.0)) == pytest.approx(10.0, abs=1e-3)
     assert limits.bounds.clearance_m((30.0, 50.0)) == pytest.approx(10.0, abs=1e-3)
     assert limits.bounds.clearance_m((90.0, 75.0)) == pytest.approx(5.0, abs=1e-3)
+    for corner in ((0.0, 0.0), (100.0, 0.0), (100.0, 80.0), (0.0, 80.0)):
+        assert limits.bounds.clearance_m(corner) == pytest.approx(0.0, abs=1e-3)
     assert limits.margins.clearance_m((30.0, 50.0)) == pytest.approx(10.0 - margin_m, abs=1e-3)
     assert limits.fence.clearance_m((10.0, 40.0)) == pytest.approx(10.0 - margin_m, abs=1e-3)
     assert limits.fence.clearance_m((50.0, 50.0)) > 0.0, "closed ground is none of the fence's business"
