@@ -4,6 +4,9 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 SEED   ?= 7
 BENCH  ?= all
+# Per cent of lines and branches that the tests must reach: of all, and of what decides in a mission.
+FLOOR      ?= 0
+CORE_FLOOR ?= 0
 
 .PHONY: demo test bench lint docs wheel env clean
 
@@ -29,7 +32,10 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 
 test: lint
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(BIN)/pytest -n 2 --dist loadfile --cov --cov-report=
+	$(BIN)/coverage report --include='mission/core/*,mission/safety/*' --fail-under=$(CORE_FLOOR)
+	@echo "reached by the tests, of all lines and branches, in per cent:"
+	$(BIN)/coverage report --format=total --fail-under=$(FLOOR)
 
 # The manual, offline, with warnings as errors; 'fieldkit docs' opens it.
 docs: $(VENV)/.installed-dev

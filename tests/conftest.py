@@ -1,6 +1,63 @@
-"""What holds for every test: no claim about time, since machines are slow and busy."""
+"""What holds for every test: no claim about time, since machines are slow and busy, and nothing is left running."""
 
+import asyncio
+import threading
+from asyncio import runners
+from collections.abc import Iterator
+
+import pytest
 from hypothesis import settings
 
 settings.register_profile("fieldkit", deadline=None)
 settings.load_profile("fieldkit")
+
+KEPT_BY_LIBRARIES = ("asyncio_", "ThreadPoolExecutor", "QueueFeederThread", "QueueManagerThread", "Dask")
+"""Beginnings of the names of threads that libraries keep in pools for their next use."""
+ENDING_S = 5.0
+"""How long threads may take that were told to end: they poll a port or a socket."""
+
+_left_tasks: list[str] = []
+_cancel_all_tasks = runners._cancel_all_tasks  # type: ignore[attr-defined]
+
+
+def _note_left_tasks(loop: asyncio.AbstractEventLoop) -> None:
+    """An event loop that closes cancels what is left on it: that is a leak, unless the test itself was cancelled."""
+    _left_tasks.extend(
+        repr(task) for task in asyncio.all_tasks(loop) if not (task.cancelling() or _closes_a_generator(task))
+    )
+    _cancel_all_tasks(loop)
+
+
+def _closes_a_generator(task: "asyncio.Task[object]") -> bool:
+    """The loop itself makes a task that closes an asynchronous generator nobody iterates any more."""
+    return type(task.get_coro()).__name__ == "async_generator_athrow"
+
+
+runners._cancel_all_tasks = _note_left_tasks  # type: ignore[attr-defined]
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_running() -> Iterator[None]:
+    """Fail a test that leaves a thread; those that fixtures of a wider scope have started are theirs."""
+    before = set(threading.enumerate())
+    yield
+    left = [
+        thread
+        for thread in threading.enumerate()
+        if thread not in before and not thread.name.startswith(KEPT_BY_LIBRARIES)
+    ]
+    for thread in left:
+        thread.join(ENDING_S / len(left))
+    alive = [repr(thread) for thread in left if thread.is_alive()]
+    if alive:
+        pytest.fail(f"the test leaves threads running: {', '.join(alive)}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
+    """Fail a test whose event loop was closed with tasks on it."""
+    result = yield
+    left, _left_tasks[:] = list(_left_tasks), []
+    if left:
+        pytest.fail(f"the test leaves tasks running: {'; '.join(left)}")
+    return result  # type: ignore[return-value]
