@@ -4,9 +4,10 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 SEED   ?= 7
 BENCH  ?= all
-# Per cent of lines and branches that the tests must reach: of all, and of what decides in a mission.
-FLOOR      ?= 0
-CORE_FLOOR ?= 0
+# Per cent of lines and branches that the tests must reach: of all, and of what decides in a mission. Measured with less
+# than half of the tests: raise both to what 'make test' prints.
+FLOOR      ?= 52
+CORE_FLOOR ?= 89
 
 .PHONY: demo test bench lint docs wheel env clean
 
