@@ -34,6 +34,8 @@ class Firmware:
     hold: tuple[int, ...]
     home: tuple[int, ...]
     land: tuple[int, ...] = ()
+    overshoot: float = 1.0
+    """How much faster than it is told it gets for a moment: it is told that much less, for a limit is a limit."""
 
     def meaning(self, custom_mode: int) -> VehicleMode:
         """Our word for a mode number; where guided and hold share one (PX4), `hold`."""
@@ -53,7 +55,8 @@ class Firmware:
         return numbers[mode][0]
 
 
-ROVER = Firmware("ArduRover", guided=(15,), hold=(4,), home=(11, 12))
+ROVER = Firmware("ArduRover", guided=(15,), hold=(4,), home=(11, 12), overshoot=1.25)
+"""Simulated 4.7.0-dev: 1.23 m/s told 1.0, 1.88 m/s told 1.5, for its speed controller has an integrator."""
 COPTER = Firmware("ArduCopter", guided=(4,), hold=(17, 5), home=(6, 21), land=(9,))
 PX4 = Firmware(
     "PX4", guided=(_PX4_LOITER, _PX4_TAKEOFF), hold=(_PX4_LOITER,), home=(_PX4_RETURN,), land=(_PX4_LAND,)

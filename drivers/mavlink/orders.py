@@ -191,7 +191,8 @@ class Orders:
 
     async def _reposition(self, steered: Steered, lat: int, lon: int, waypoint: Waypoint) -> None:
         vehicle, before = steered.vehicle, steered.vehicle.commanded
-        new_speed = vehicle.actual_mode != "guided" or steered.speed_m_s != waypoint.speed_m_s
+        speed_m_s = waypoint.speed_m_s / (vehicle.firmware.overshoot if vehicle.firmware is not None else 1.0)
+        new_speed = vehicle.actual_mode != "guided" or steered.speed_m_s != speed_m_s
         mine = self._newer(steered)
         vehicle.command("guided")
         with self._under_way(steered):
@@ -202,7 +203,7 @@ class Orders:
                     "go to a way-point",
                     lambda _: reposition(vehicle, lat, lon, waypoint.up_m),
                     still=lambda: steered.orders == mine and vehicle.owner == "us",
-                    behind=change_speed(vehicle, waypoint.speed_m_s, 0) if new_speed else None,
+                    behind=change_speed(vehicle, speed_m_s, 0) if new_speed else None,
                 )
             except VehicleRefused:
                 if steered.orders == mine and before is not None:
@@ -212,7 +213,7 @@ class Orders:
             steered.target, steered.target_s, steered.resent = (lat, lon), self._clock.elapsed_s(), 0
             steered.waypoint = waypoint
             if new_speed:
-                await self._set_speed(steered, waypoint.speed_m_s, mine)
+                await self._set_speed(steered, speed_m_s, mine)
 
     async def _set_speed(self, steered: Steered, speed_m_s: float, mine: int) -> None:
         """Most often it was taken behind the way-point already. PX4 may refuse it."""

@@ -77,6 +77,8 @@ NEWS_RANGES = 2.0
 """Within so many nominal ranges of the loudest source, what a robot hears may be from a source not found yet."""
 NEWS_EVERY_S = 5.0
 """A team is not planned for anew more often on what it hears."""
+SLOWER = 1.6
+"""A leg may take so much longer than at the speed asked for: vehicles turn, and drive below a limit, not at it."""
 LATE_LEGS = 3
 """So many legs in a row that ended by time-out are worth a word."""
 
@@ -497,7 +499,7 @@ class Kernel:
                 up_m = self.settings.altitude_m.get(robot, target.up_m)
                 commands.append(GoTo(now_ns, robot, replace(target, up_m=up_m)))
                 limit_s = max(limit_s, self._distance(robot, target) / max(target.speed_m_s, 1e-3))
-        task.leg_limit_s = 1.3 * limit_s + 5.0
+        task.leg_limit_s = SLOWER * limit_s + 5.0
         return commands
 
     def _leg_done(self, task: _Task, now_ns: int, notes: list[str]) -> bool:
