@@ -20,8 +20,6 @@ ROOT = Path(__file__).parents[2]
 CONSUMER = ROOT / "tests" / "consumer"
 PACKAGES = ("fieldkit", "calibration", "drivers", "mission")
 
-pytestmark = pytest.mark.xdist_group("wheel")
-
 
 def run(*command: str | Path, cwd: Path, env: dict[str, str] | None = None) -> str:
     """What a command printed; its errors fail the test with both outputs."""
