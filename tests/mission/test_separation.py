@@ -201,7 +201,11 @@ def test_under_way_two_are_stopped_when_small_steps_of_the_next_moments_come_too
     soon = [replace(s, end_m=s.at(4.0)) for s in (one, other)]
     closest_m = stepped_m(soon[0], soon[1], 0.0)
     assume(not NEAR_M - 0.02 < closest_m < NEAR_M + 0.13)
-    stopped = too_near(robot("a", a, b, u), robot("b", c, d, v))
+    pair = robot("a", a, b, u), robot("b", c, d, v)
+    for each, driven in zip(pair, (one, other), strict=True):
+        (e0, n0), (e1, n1) = driven.at(0.0), driven.at(1e-3)
+        each.velocity_m_s = (1e3 * (e1 - e0), 1e3 * (n1 - n0))  # both have got going
+    stopped = too_near(*pair)
     assert bool(stopped) == (closest_m < NEAR_M)
     if stopped:
         helps_m = stepped_m(soon[0], standing(c), 0.0)
