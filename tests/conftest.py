@@ -13,7 +13,14 @@ from hypothesis import settings
 settings.register_profile("fieldkit", deadline=None)
 settings.load_profile("fieldkit")
 
-KEPT_BY_LIBRARIES = ("asyncio_", "ThreadPoolExecutor", "QueueFeederThread", "QueueManagerThread", "Dask")
+KEPT_BY_LIBRARIES = (
+    "asyncio_",
+    "ThreadPoolExecutor",
+    "QueueFeederThread",
+    "QueueManagerThread",
+    "Dask",
+    "IO loop",
+)
 """Beginnings of the names of threads that libraries keep in pools for their next use."""
 ENDING_S = 5.0
 """How long threads may take that were told to end: they poll a port or a socket."""
