@@ -183,7 +183,7 @@ def import_(
 ) -> None:
     """Turn another log into a CSV of readings that fit and check take.
 
-    Nothing is written if the log cannot be used; what is doubtful about it is said.
+    Nothing is written if the log cannot be used; what is inconsistent about it is said.
 
     Example: fieldkit calibrate import mission.mcap --source 5.0 5.0 -o readings.csv
     """

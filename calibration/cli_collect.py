@@ -60,13 +60,13 @@ def collect(
     """
     import asyncio
 
-    from calibration import journal
+    from calibration import collect_log
     from calibration.collect import Beacon, Collector
-    from calibration.whereabouts import Whereabouts, by_position_source, by_telemetry
+    from calibration.positions import PositionFeed, by_position_source, by_telemetry
     from fieldkit import plugins
     from fieldkit.clock import RealClock
     from fieldkit.geo import FieldFrame
-    from fieldkit.ports import Surroundings
+    from fieldkit.ports import DriverContext
     from fieldkit.recording import RecordingWriter
 
     if not period_s > 0.0:
@@ -82,17 +82,17 @@ def collect(
     if vehicle and origin == (0.0, 0.0):
         raise ConfigError("--origin: give latitude and longitude of some point of the field, within a few km")
     clock = RealClock()
-    around = Surroundings(clock, FieldFrame(*origin))
+    around = DriverContext(clock, FieldFrame(*origin))
     where = None
     if vehicle:
         link = by_telemetry(vehicle, address, name, settings(vehicle_setting), around)
-        where = Whereabouts(name, link, transmitter)
+        where = PositionFeed(name, link, transmitter)
     elif positions:
         source = by_position_source(positions, address, name, settings(vehicle_setting), around)
-        where = Whereabouts(name, source, transmitter)
+        where = PositionFeed(name, source, transmitter)
     opened = plugins.load("fieldkit.receivers", receiver)(name, settings(setting), around)
-    log = journal.free_path(out.with_suffix(".mcap")) if record is None else record
-    said = journal.metadata(beacon, period_s, packets)
+    log = collect_log.free_path(out.with_suffix(".mcap")) if record is None else record
+    said = collect_log.metadata(beacon, period_s, packets)
     with RecordingWriter(log, start_ns=clock.now_ns(), metadata=said) as writer:
         collector = Collector(
             opened,
@@ -101,7 +101,7 @@ def collect(
             out,
             _ask,
             typer.echo,
-            journal.Journal(writer),
+            collect_log.CollectLog(writer),
             where,
             headings(turns),
             _show if sys.stdout.isatty() else lambda text: None,

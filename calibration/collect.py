@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.collect_log import CollectLog
 from calibration.collection import Place, from_csv, packets_from, still_missing, to_csv
-from calibration.journal import Journal
-from calibration.whereabouts import Spot, Whereabouts
+from calibration.positions import PositionFeed, Spot
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError
 from fieldkit.files import write_whole
@@ -48,8 +48,8 @@ class Collector:
     out: Path
     ask: Ask
     say: Say
-    journal: Journal | None = None
-    whereabouts: Whereabouts | None = None
+    collect_log: CollectLog | None = None
+    positions: PositionFeed | None = None
     """None: distances are typed."""
     headings_deg: Sequence[float] = ()
     """Ask for the antenna to be turned to each of these at every place."""
@@ -70,11 +70,11 @@ class Collector:
                 self.say(f"  still wanted: {wish}")
         for place in self.places:
             self._note(place)
-        question = QUESTION if self.whereabouts is None else QUESTION_TRACKED
+        question = QUESTION if self.positions is None else QUESTION_TRACKED
         async with AsyncExitStack() as stack:
             await stack.enter_async_context(self.receiver)
-            if self.whereabouts is not None:
-                await stack.enter_async_context(self.whereabouts.following())
+            if self.positions is not None:
+                await stack.enter_async_context(self.positions.following())
             listening = asyncio.create_task(self._listen())
             try:
                 while (answer := (await asyncio.to_thread(self.ask, question)).strip()) != "q":
@@ -88,22 +88,22 @@ class Collector:
     async def _answered(self, answer: str) -> None:
         if answer == "u":
             self._undo()
-        elif self.whereabouts is None:
+        elif self.positions is None:
             await self._typed(answer)
         elif answer == "t":
-            await self._at_transmitter(self.whereabouts)
+            await self._at_transmitter(self.positions)
         elif answer:
             self.say(f"'{answer}' is no answer; {QUESTION_TRACKED}")
         else:
-            await self._tracked(self.whereabouts)
+            await self._tracked(self.positions)
 
     def _undo(self) -> None:
         if not self.places:
             self.say("there is nothing to undo")
             return
         self.say(f"removed {self.places.pop().summary()}")
-        if self.journal is not None:
-            self.journal.removed()
+        if self.collect_log is not None:
+            self.collect_log.removed()
 
     async def _typed(self, answer: str) -> None:
         where = parse_answer(answer)
@@ -126,35 +126,35 @@ class Collector:
             return
         self._add(await self._listened(), distance, heading, self._next_name())
 
-    async def _tracked(self, whereabouts: Whereabouts) -> None:
+    async def _tracked(self, positions: PositionFeed) -> None:
         """One place where telemetry or a camera says the robot stands."""
-        if whereabouts.transmitter_m is None:
-            self.say(str(whereabouts.spot([])))
+        if positions.transmitter_m is None:
+            self.say(str(positions.spot([])))
             return
-        before = len(whereabouts.poses)
+        before = len(positions.poses)
         start_ns, heard = await self._listened()
-        poses = whereabouts.poses[before:]
-        spot = whereabouts.spot(poses)
+        poses = positions.poses[before:]
+        spot = positions.spot(poses)
         if not isinstance(spot, Spot):
             self.say(f"not kept: {spot}")
             return
-        if off := whereabouts.clock_off_s(self.clock.now_ns()):
+        if off := positions.clock_off_s(self.clock.now_ns()):
             self.say(
                 f"  mind: positions are stamped {off:+.1f} s from this computer's clock; set both by one"
             )
-        if self.journal is not None:
+        if self.collect_log is not None:
             for pose in poses:
-                self.journal.event(self.clock.now_ns(), pose)
+                self.collect_log.event(self.clock.now_ns(), pose)
         self._add((start_ns, heard), spot.distance_m, spot.heading_deg, self._next_name())
 
-    async def _at_transmitter(self, whereabouts: Whereabouts) -> None:
-        before = len(whereabouts.poses)
+    async def _at_transmitter(self, positions: PositionFeed) -> None:
+        before = len(positions.poses)
         await self.clock.sleep(STAND_S)
-        stood = whereabouts.stood(whereabouts.poses[before:])
+        stood = positions.stood(positions.poses[before:])
         if isinstance(stood, str):
             self.say(stood)
         else:
-            whereabouts.transmitter_m = stood
+            positions.transmitter_m = stood
             self.say(f"the transmitter is at {stood[0]:.2f} m east, {stood[1]:.2f} m north")
 
     async def _listened(self) -> tuple[int, list[RssReading]]:
@@ -202,8 +202,8 @@ class Collector:
             self.say(f"  still wanted: {wish}")
 
     def _note(self, place: Place) -> None:
-        if self.journal is not None:
-            self.journal.place(place)
+        if self.collect_log is not None:
+            self.collect_log.place(place)
 
     def _next_name(self) -> str:
         return f"p{_count(self.places) + 1:02d}"
@@ -211,8 +211,8 @@ class Collector:
     async def _listen(self) -> None:
         async for event in self.receiver.readings():
             self.inbox.append(event)
-            if self.journal is not None:
-                self.journal.event(self.clock.now_ns(), event)
+            if self.collect_log is not None:
+                self.collect_log.event(self.clock.now_ns(), event)
 
 
 def _plural(places: Sequence[Place]) -> str:

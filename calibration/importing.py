@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from calibration.clocks import Track, estimate_offset
+from calibration.collect_log import places_of
 from calibration.collection import to_csv
 from calibration.embedded import readings_in
-from calibration.journal import places_of
 from calibration.table import COLUMNS, Table, as_csv, read_table
 from fieldkit.errors import ConfigError, DataError
 from fieldkit.messages import Detection, Pose
@@ -61,7 +61,7 @@ def csv_from_report(path: Path) -> str:
 def csv_from_recording(
     path: Path, source_m: tuple[float, float] | None = None, clock_offset_s: float | None = None
 ) -> tuple[str, list[str]]:
-    """Readings of a recording, and what is doubtful about them, in words.
+    """Readings of a recording, and what is inconsistent about them, in words.
 
     Of a collection: the places as they were counted. Of a mission: what robots heard of its only transmitter,
     at `source_m` (east, north) or where the recording's metadata say ("truth"). A robot that listened while

@@ -29,7 +29,7 @@ class Reading:
 
 
 def as_readings_csv(log: Path, how: Reading) -> tuple[str | None, list[str]]:
-    """The log as a CSV of ours, and what is doubtful about it. None: it is a table with positions of its own."""
+    """The log as a CSV of ours, and what is inconsistent about it. None: it is a table with positions of its own."""
     if log.suffix.lower() in RECORDINGS:
         return importing.csv_from_recording(log, how.source, how.clock_offset_s)
     if log.suffix.lower() in REPORTS:
@@ -47,7 +47,7 @@ def as_readings_csv(log: Path, how: Reading) -> tuple[str | None, list[str]]:
 
 
 def read_log(log: Path, how: Reading) -> tuple[Readings, list[str]]:
-    """Readings of any log, and what is doubtful about it. Raises `DataError` naming file, line and remedy."""
+    """Readings of any log, and what is inconsistent about it. Raises `DataError` naming file, line and remedy."""
     text, notes = as_readings_csv(log, how)
     if text is None:
         readings = read_readings(

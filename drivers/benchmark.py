@@ -24,7 +24,7 @@ from drivers.xbee.receiver import open_receiver
 from fieldkit.clock import RealClock, wall_s
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 SENDER = 0x0013A20041000000
 SETTLE_S = 2.0
@@ -102,7 +102,7 @@ def _emulated(rate_hz: float, duration_s: float, senders: int) -> Iterator[Conne
 
 
 async def _measure(connection: Connection, port: str) -> dict[str, Any]:
-    receiver = open_receiver("bench", {"port": port}, Surroundings(RealClock(), FieldFrame(0.0, 0.0)))
+    receiver = open_receiver("bench", {"port": port}, DriverContext(RealClock(), FieldFrame(0.0, 0.0)))
     readings: list[RssReading] = []
     async with receiver:
 

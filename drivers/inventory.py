@@ -15,7 +15,7 @@ from drivers.xbee.settings import advice, why_deaf
 from fieldkit.clock import RealClock
 from fieldkit.errors import DeviceError, DeviceTimeout
 from fieldkit.geo import FieldFrame
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 NOWHERE = FieldFrame(0.0, 0.0)
 MESH_HEARS = (
@@ -73,7 +73,7 @@ def ask(port: str, baud: int) -> Found:
 
 
 async def _ask(port: str, baud: int) -> Found:
-    around = Surroundings(RealClock(), NOWHERE)
+    around = DriverContext(RealClock(), NOWHERE)
     receiver = open_receiver("this port", {"port": port, "baud": baud, "ask_db": True}, around)
     try:
         async with receiver:
@@ -91,7 +91,7 @@ async def _ask(port: str, baud: int) -> Found:
     return Found(port, what, advice(settings), told)
 
 
-async def _ask_sniffers(port: str, around: Surroundings) -> Found | None:
+async def _ask_sniffers(port: str, around: DriverContext) -> Found | None:
     for opener, name in ((open_nrf, "nrf-sniffer"), (open_ti, "ti-sniffer")):
         try:
             async with opener("this port", {"port": port}, around):

@@ -14,7 +14,7 @@ BUCKET_NS = 5_000_000_000
 BUCKETS = 12
 DOUBT_NS = 1_000_000_000
 """So much later than the best of the last minute, time after time, and the clock is in doubt."""
-DOUBTFUL = 5
+INCONSISTENT = 5
 """Messages in a row that must be late by so much."""
 
 
@@ -40,7 +40,7 @@ class TimeBase:
     @property
     def in_doubt(self) -> bool:
         """The last messages were all late by more than `DOUBT_NS`: a slow link, or a clock that stood still."""
-        return self._late >= DOUBTFUL
+        return self._late >= INCONSISTENT
 
     def learn(self, offset_ns: int, now_ns: int) -> None:
         """A round trip has told the offset (mission time minus boot time): what was known before is forgotten."""

@@ -216,7 +216,7 @@ class Listening:
         return (self.t1_ns - self.t0_ns) * 1e-9
 
 
-SourceState = Literal["candidate", "found", "doubtful", "removed"]
+SourceState = Literal["candidate", "found", "inconsistent", "removed"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,7 +224,7 @@ class SourceEstimate:
     """What is believed of one source.
 
     `cov_m2` is (2, 2) over (east, north). `region_90` counts the cells of the smallest region that holds
-    90 % of the location posterior. `doubtful`: the readings do not look like what the antenna file
+    90 % of the location posterior. `inconsistent`: the readings do not look like what the antenna file
     predicts, so no position is claimed; `note` says why. `removed`: the operator has taken it away.
     """
 

@@ -16,7 +16,7 @@ from fieldkit.messages import Pose, ReceiverState, RssReading, VehicleState, Way
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class DriverContext:
     """What every driver is handed besides its own options."""
 
     clock: Clock
@@ -105,7 +105,7 @@ class VehicleLink(_Opened, Protocol):
         """Tell the vehicles we are alive. Called from the steering loop, so that it stops when steering does."""
         ...
 
-    async def take_over(self, robot: str, *, arm: bool = True) -> None:
+    async def acquire_control(self, robot: str, *, arm: bool = True) -> None:
         """Make the vehicle ours to steer and armed. Raises `VehicleRefused` with the vehicle's own words.
 
         With `arm` False one that is disarmed stays so.
@@ -132,7 +132,7 @@ class VehicleLink(_Opened, Protocol):
         ...
 
     def release(self, robot: str) -> None:
-        """Give the vehicle up to whoever steers it next: nothing more is sent to it, until `take_over`."""
+        """Give the vehicle up to whoever steers it next: nothing more is sent to it, until `acquire_control`."""
         ...
 
     def stop(self, robot: str) -> None:
@@ -182,20 +182,20 @@ class PositionSource(_Opened, Protocol):
     robots: tuple[str, ...]
 
     def poses(self) -> AsyncIterator[Pose]:
-        """Poses as they are known. A robot that is hidden or doubtful is absent, not wrong."""
+        """Poses as they are known. A robot that is hidden or inconsistent is absent, not wrong."""
         ...
 
 
 class ReceiverFactory(Protocol):
     """What an entry point in `fieldkit.receivers` names."""
 
-    def __call__(self, robot: str, options: Mapping[str, Any], around: Surroundings) -> Receiver: ...
+    def __call__(self, robot: str, options: Mapping[str, Any], around: DriverContext) -> Receiver: ...
 
 
 class PositionSourceFactory(Protocol):
     """What an entry point in `fieldkit.positions` names."""
 
-    def __call__(self, options: Mapping[str, Any], around: Surroundings) -> PositionSource: ...
+    def __call__(self, options: Mapping[str, Any], around: DriverContext) -> PositionSource: ...
 
 
 class VehicleLinkFactory(Protocol):
@@ -205,5 +205,5 @@ class VehicleLinkFactory(Protocol):
     """
 
     def __call__(
-        self, address: str, robots: Mapping[str, Mapping[str, Any]], around: Surroundings
+        self, address: str, robots: Mapping[str, Mapping[str, Any]], around: DriverContext
     ) -> VehicleLink: ...

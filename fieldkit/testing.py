@@ -168,7 +168,7 @@ async def _reports_poses(bench: VehicleLinkBench) -> None:
 
 async def _steers_and_holds(bench: VehicleLinkBench) -> None:
     async with bench.link as link, _beating(bench), _Tap(link.events()) as tap:
-        await asyncio.gather(*(link.take_over(robot) for robot in link.robots))
+        await asyncio.gather(*(link.acquire_control(robot) for robot in link.robots))
         for robot in link.robots:
             await tap.until(_is(robot, "guided"), f"{robot} guided")
             assert _state(tap.seen, robot).armed, f"{robot} is taken over and not armed"
@@ -192,7 +192,7 @@ async def _stops_and_gives_its_fence_back(bench: VehicleLinkBench) -> None:
     async with bench.link as link, _beating(bench), _Tap(link.events()) as tap:
         robot = link.robots[0]
         await tap.until(_has_poses(robot, 1), f"a pose of {robot}")
-        await link.take_over(robot)
+        await link.acquire_control(robot)
         east_m, north_m = bench.start_m[robot]
         await link.goto(robot, Waypoint(east_m + 5.0, north_m, speed_m_s=0.4))
         await tap.until(_is(robot, "guided"), f"{robot} guided")
@@ -211,7 +211,7 @@ async def _stops_and_gives_its_fence_back(bench: VehicleLinkBench) -> None:
 async def _refuses_nonsense(bench: VehicleLinkBench) -> None:
     async with bench.link as link, _beating(bench), _Tap(link.events()):
         robot = link.robots[0]
-        await link.take_over(robot)
+        await link.acquire_control(robot)
         for waypoint in (Waypoint(math.nan, 0.0, 0.4), Waypoint(0.0, math.inf, 0.4)):
             assert await _refuses(link.goto(robot, waypoint)), f"{waypoint} was not refused"
         assert await _refuses(link.goto("nobody", Waypoint(1.0, 1.0, 0.4))), (

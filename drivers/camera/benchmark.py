@@ -18,7 +18,7 @@ from drivers.camera.source import CameraOptions, make_task, open_camera
 from drivers.emulators.camera import Scene, Shown, circle, still, write_calibration, write_film
 from fieldkit.clock import RealClock
 from fieldkit.geo import FieldFrame
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 ROBOT_UP_M = 0.3
 
@@ -109,7 +109,7 @@ async def _lateness_ms(options: dict[str, Any]) -> list[float]:
     """From the picture to its pose in this process, the film at its own pace."""
     clock = RealClock()
     late_ms = []
-    async with open_camera(options, Surroundings(clock, FieldFrame(0.0, 0.0))) as source:
+    async with open_camera(options, DriverContext(clock, FieldFrame(0.0, 0.0))) as source:
         async for pose in source.poses():
             late_ms.append((clock.now_ns() - pose.t_ns) * 1e-6)
     return late_ms[len(late_ms) // 10 :]

@@ -49,7 +49,7 @@ class Found:
     took_s: float
     """From there to the fixes."""
     fixes: tuple[Fix, ...]
-    doubtful: dict[str, str]
+    inconsistent: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ def _run(task: Task, connection: Connection) -> None:
         fixes = finder.fixes(picture, taken_s)
         ended_s = time.monotonic()
         took_s = ended_s - (began_s if task.every_picture else taken_s)
-        connection.send(Found(number, taken_s, took_s, tuple(fixes), dict(finder.judge.doubtful)))
+        connection.send(Found(number, taken_s, took_s, tuple(fixes), dict(finder.judge.inconsistent)))
         number += 1
     video.release()
     over = is_file(task.source) and number > 0

@@ -106,7 +106,9 @@ def look(
     fixes = finder.fixes(picture, 0.0)
     write_picture(out, draw_fixes(picture, task.view, fixes))
     if as_json:
-        typer.echo(json.dumps({"robots": [asdict(fix) for fix in fixes], "doubtful": finder.judge.doubtful}))
+        typer.echo(
+            json.dumps({"robots": [asdict(fix) for fix in fixes], "inconsistent": finder.judge.inconsistent})
+        )
         return
     for fix in fixes:
         typer.echo(
@@ -115,5 +117,5 @@ def look(
         )
     for robot in robots:
         if robot not in {fix.robot for fix in fixes}:
-            typer.echo(f"{robot}: {finder.judge.doubtful.get(robot, 'not seen')}")
+            typer.echo(f"{robot}: {finder.judge.inconsistent.get(robot, 'not seen')}")
     typer.echo(f"written: {out}")

@@ -1,6 +1,6 @@
 """What was seen of one robot in one picture, and whether it is to be believed as its pose.
 
-A robot that is hidden or doubtful has no pose: seen twice, of the wrong size or shape, or further from its last
+A robot that is hidden or inconsistent has no pose: seen twice, of the wrong size or shape, or further from its last
 place than it can have gone. A far jump is believed once it has been seen to stay for `CONFIRM` pictures.
 """
 
@@ -64,17 +64,17 @@ class Judge:
         self._max_speed_m_s = max_speed_m_s
         self._last: dict[str, tuple[float, Fix]] = {}
         self._jump: dict[str, tuple[int, Fix]] = {}
-        self.doubtful: dict[str, str] = {}
+        self.inconsistent: dict[str, str] = {}
         """Robot to why it was not believed in the last picture."""
 
     def judge(self, seen: list[Seen], t_s: float) -> list[Fix]:
         """The robots whose pose in this picture is sure, one fix each."""
-        self.doubtful = {}
+        self.inconsistent = {}
         names = [each.robot for each in seen]
         fixes = []
         for each in seen:
             if names.count(each.robot) > 1:
-                self.doubtful[each.robot] = "seen twice"
+                self.inconsistent[each.robot] = "seen twice"
                 continue
             fix = self._fix(each)
             if fix is not None and self._follows(fix, t_s):
@@ -90,10 +90,10 @@ class Judge:
         body = self._bodies[seen.robot]
         front, rear = self._view.to_field(np.vstack([seen.front_px, seen.rear_px]), body.height_m)
         if not np.all(np.isfinite([front, rear])):
-            self.doubtful[seen.robot] = "beyond the horizon"
+            self.inconsistent[seen.robot] = "beyond the horizon"
             return None
         if reason := self._wrong(seen, body, float(np.hypot(*(front - rear)))):
-            self.doubtful[seen.robot] = reason
+            self.inconsistent[seen.robot] = reason
             return None
         middle_px = (
             (seen.front_px + seen.rear_px) / 2 if seen.corners_px is None else crossing(seen.corners_px)
@@ -124,7 +124,7 @@ class Judge:
                 count = count + 1 if _apart_m(before, fix) < 0.5 else 1
                 self._jump[fix.robot] = (count, fix)
                 if count < CONFIRM:
-                    self.doubtful[fix.robot] = "further from its last place than it can have gone"
+                    self.inconsistent[fix.robot] = "further from its last place than it can have gone"
                     return False
         self._jump.pop(fix.robot, None)
         self._last[fix.robot] = (t_s, fix)

@@ -13,14 +13,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from drivers.bounded_queue import BoundedQueue
 from drivers.camera.capture import Ended, Found, Task, run
 from drivers.camera.file import read_view
 from drivers.camera.seen import Body
-from drivers.handover import Handover
 from drivers.options import checked
 from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.messages import Pose
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 logger = logging.getLogger(__name__)
 
@@ -48,7 +48,7 @@ class CameraOptions:
     """Of a file: take every picture as fast as possible; poses carry times from the moment of opening."""
 
 
-def open_camera(options: Mapping[str, Any], around: Surroundings) -> "CameraSource":
+def open_camera(options: Mapping[str, Any], around: DriverContext) -> "CameraSource":
     """A camera as a position source, not opened yet. Raises `ConfigError`, `CalibrationRefused`."""
     chosen = checked(CameraOptions, options, "positions (camera)")
     return CameraSource(make_task(chosen), around)
@@ -101,12 +101,12 @@ def make_task(options: CameraOptions) -> Task:
 class CameraSource:
     """Entering starts the camera's process and waits for the first picture."""
 
-    def __init__(self, task: Task, around: Surroundings) -> None:
+    def __init__(self, task: Task, around: DriverContext) -> None:
         self.robots = tuple(task.bodies)
         self.restarts = 0
         """How often the camera's process had to be started again."""
         self.pictures = 0
-        self.doubtful: dict[str, str] = {}
+        self.inconsistent: dict[str, str] = {}
         """Robot to why it was not believed in the last picture."""
         self._task = task
         self._clock = around.clock
@@ -114,7 +114,7 @@ class CameraSource:
         self._process: Any = None
 
     async def __aenter__(self) -> Self:
-        self._handover: Handover[Pose] = Handover()
+        self._handover: BoundedQueue[Pose] = BoundedQueue()
         self._stopping = threading.Event()
         self._first = threading.Event()
         self._why = ""
@@ -196,7 +196,7 @@ class CameraSource:
 
     def _take(self, found: Found) -> None:
         self.pictures += 1
-        self.doubtful = found.doubtful
+        self.inconsistent = found.inconsistent
         t_ns = self._mission_time(found.taken_s)
         for fix in found.fixes:
             self._handover.put(

@@ -187,7 +187,7 @@ class Radios:
 
     def __init__(self, what: Rehearsal, telemetry: str, clock: Clock, seed: int) -> None:
         self.what = what
-        self.whereabouts = Whereabouts(what.frame, clock)
+        self.positions = Whereabouts(what.frame, clock)
         self.heard = dict.fromkeys((robot.name for robot in what.robots), 0)
         """Packets that each radio has heard."""
         self._clock = clock
@@ -207,7 +207,7 @@ class Radios:
         }
 
     async def __aenter__(self) -> "Radios":
-        await self._transport.open(self.whereabouts.hear)
+        await self._transport.open(self.positions.hear)
         for radio in self.radios.values():
             await radio.plug()
         self._task = asyncio.create_task(self._live(), name="emulated radios")
@@ -232,7 +232,7 @@ class Radios:
         index = self.what.sources.index(source)
         number, self._sent[index] = self._sent[index], self._sent[index] + 1
         for robot in self.what.robots:
-            place = self.whereabouts.of(robot.system_id)
+            place = self.positions.of(robot.system_id)
             if place is None:
                 continue
             east_m, north_m, up_m, heading_deg = place
@@ -260,7 +260,7 @@ async def run_radios(
         missing: set[str] = {robot.name for robot in what.robots}
         while True:
             await clock.sleep(1.0)
-            now = {robot.name for robot in what.robots if radios.whereabouts.of(robot.system_id) is None}
+            now = {robot.name for robot in what.robots if radios.positions.of(robot.system_id) is None}
             for name in sorted(missing - now):
                 say(f"{name} is heard: its radio hears from where it is")
             for name in sorted(now - missing):

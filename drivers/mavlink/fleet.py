@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.handover import Handover
+from drivers.bounded_queue import BoundedQueue
 from drivers.mavlink import inspect, timesync
 from drivers.mavlink.codec import AUTOPILOT, GROUND_STATION, Message, Packer, Parser, mavlink
 from drivers.mavlink.commands import Commander
@@ -31,7 +31,7 @@ from fieldkit.checks import Check
 from fieldkit.clock import Clock
 from fieldkit.errors import ConfigError, DeviceTimeout, VehicleRefused
 from fieldkit.messages import Pose, VehicleState, Waypoint
-from fieldkit.ports import Demands, StoredFence, Surroundings, Traits
+from fieldkit.ports import Demands, DriverContext, StoredFence, Traits
 
 logger = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ class RobotOptions:
     """host:port to which everything that the vehicles send is copied over UDP: for a rehearsal's radios, or a map."""
 
 
-def open_link(address: str, robots: Mapping[str, Mapping[str, Any]], around: Surroundings) -> "MavlinkLink":
+def open_link(address: str, robots: Mapping[str, Mapping[str, Any]], around: DriverContext) -> "MavlinkLink":
     """A link, not opened yet. Raises `ConfigError` for options that cannot be."""
     return MavlinkLink(address, robots, around)
 
@@ -71,7 +71,7 @@ def open_link(address: str, robots: Mapping[str, Mapping[str, Any]], around: Sur
 class MavlinkLink:
     """Entering opens the link; vehicles appear in `events` as they are heard."""
 
-    def __init__(self, address: str, robots: Mapping[str, Mapping[str, Any]], around: Surroundings) -> None:
+    def __init__(self, address: str, robots: Mapping[str, Mapping[str, Any]], around: DriverContext) -> None:
         self.robots = tuple(robots)
         self._address = address
         self._clock = around.clock
@@ -121,7 +121,7 @@ class MavlinkLink:
         self._steered[option.system_id] = Steered(vehicle)
 
     async def __aenter__(self) -> Self:
-        self._out: Handover[Pose | VehicleState] = Handover(limit=20_000)
+        self._out: BoundedQueue[Pose | VehicleState] = BoundedQueue(limit=20_000)
         if self._copy is not None:
             self._copy.open()
         await self._transport.open(self._on_data)
@@ -272,10 +272,10 @@ class MavlinkLink:
 
     # Commands
 
-    async def take_over(self, robot: str, *, arm: bool = True) -> None:
+    async def acquire_control(self, robot: str, *, arm: bool = True) -> None:
         """Set message rates, GUIDED, armed; each confirmed by the vehicle's own heartbeat."""
         self._refuse_rival(robot)
-        await self._orders.take_over(self._of(robot), arm=arm)
+        await self._orders.acquire_control(self._of(robot), arm=arm)
 
     def release(self, robot: str) -> None:
         """Send it nothing more; whoever takes it has it."""

@@ -127,7 +127,7 @@ class Orders:
 
     # Taking over
 
-    async def take_over(self, steered: Steered, *, arm: bool = True) -> None:
+    async def acquire_control(self, steered: Steered, *, arm: bool = True) -> None:
         """GUIDED and armed, each confirmed by the vehicle's own heartbeat. Message rates are asked for beside that."""
         vehicle, was_to_hold = steered.vehicle, steered.must_hold
         mine = self._newer(steered)

@@ -87,10 +87,10 @@ async def _from_capture(path: Path, robot: str) -> list[Heard]:
     from drivers.sniffers.pcap import open_capture
     from fieldkit.clock import RealClock
     from fieldkit.geo import FieldFrame
-    from fieldkit.ports import Surroundings
+    from fieldkit.ports import DriverContext
 
     heard: list[Heard] = []
-    around = Surroundings(RealClock(), FieldFrame(0.0, 0.0))
+    around = DriverContext(RealClock(), FieldFrame(0.0, 0.0))
     async with open_capture(robot, {"port": str(path)}, around) as receiver:
         async for item in receiver.readings():
             if isinstance(item, RssReading):

@@ -12,7 +12,7 @@ from drivers.positions.tracks import Spot, Track, read_track
 from fieldkit.errors import ConfigError, DataError
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import Pose
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class FileOptions:
     """Give all poses at once, not at the log's pace."""
 
 
-def open_file(options: Mapping[str, Any], around: Surroundings) -> "FilePositions":
+def open_file(options: Mapping[str, Any], around: DriverContext) -> "FilePositions":
     """A position log as a source. Raises `ConfigError`, also where the log cannot be read."""
     chosen = checked(FileOptions, options, "positions (file)")
     try:
@@ -52,7 +52,7 @@ def _pose(spot: Spot, geodetic: bool, frame: FieldFrame) -> Pose:
 class FilePositions:
     """Opening starts at the beginning; closing ends the poses."""
 
-    def __init__(self, track: Track, around: Surroundings, *, at_once: bool) -> None:
+    def __init__(self, track: Track, around: DriverContext, *, at_once: bool) -> None:
         self.robots = tuple(sorted({spot.robot for spot in track.spots}))
         self._poses = poses_of(track, around.frame)
         self._clock = around.clock

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.keeper import KeptReceiver
 from drivers.options import checked
+from drivers.reconnecting import KeptReceiver
 from drivers.sniffers.capture import CaptureError, CaptureReader, Packet
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.strength import (
@@ -26,7 +26,7 @@ from drivers.sniffers.strength import (
 )
 from fieldkit.errors import DeviceError
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 logger = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ class PcapOptions:
     saturation_dbm: float | None = None
 
 
-def open_capture(robot: str, options: Mapping[str, Any], around: Surroundings) -> "PcapReceiver":
+def open_capture(robot: str, options: Mapping[str, Any], around: DriverContext) -> "PcapReceiver":
     """A capture as a receiver, not opened yet. Raises `ConfigError`."""
     return PcapReceiver(robot, checked(PcapOptions, options, f"receiver of {robot} (pcap)"), around)
 
@@ -59,7 +59,7 @@ def open_capture(robot: str, options: Mapping[str, Any], around: Surroundings) -
 class PcapReceiver(KeptReceiver):
     """Readings carry the capture's own times. Down at a file's end, and when a pipe's writer goes."""
 
-    def __init__(self, robot: str, options: PcapOptions, around: Surroundings) -> None:
+    def __init__(self, robot: str, options: PcapOptions, around: DriverContext) -> None:
         super().__init__(robot, f"capture of {robot}", around)
         self._options = options
         self._file: int | None = None

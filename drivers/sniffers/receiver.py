@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.keeper import KeptReceiver
 from drivers.links import ByteLink, UsbIdentity, arrival_ns, open_link, port_of, usb_identity
 from drivers.options import checked
+from drivers.reconnecting import KeptReceiver
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.nrf import NrfText
 from drivers.sniffers.protocol import CHANNELS, Captured, SnifferProtocol
@@ -20,7 +20,7 @@ from drivers.sniffers.ti import TiBinary
 from drivers.timebase import TimeBase
 from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 logger = logging.getLogger(__name__)
 
@@ -54,12 +54,12 @@ class SnifferOptions:
         return list(self.channels) if self.channels else [self.channel]
 
 
-def open_nrf(robot: str, options: Mapping[str, Any], around: Surroundings) -> "SnifferReceiver":
+def open_nrf(robot: str, options: Mapping[str, Any], around: DriverContext) -> "SnifferReceiver":
     """Nordic's sniffer firmware, not opened yet. Raises `ConfigError`."""
     return _make(robot, options, around, "nRF sniffer", NrfText)
 
 
-def open_ti(robot: str, options: Mapping[str, Any], around: Surroundings) -> "SnifferReceiver":
+def open_ti(robot: str, options: Mapping[str, Any], around: DriverContext) -> "SnifferReceiver":
     """TI's sniffer firmware, not opened yet. Raises `ConfigError`."""
     return _make(robot, options, around, "TI sniffer", TiBinary)
 
@@ -67,7 +67,7 @@ def open_ti(robot: str, options: Mapping[str, Any], around: Surroundings) -> "Sn
 def _make(
     robot: str,
     given: Mapping[str, Any],
-    around: Surroundings,
+    around: DriverContext,
     name: str,
     protocol: Callable[[], SnifferProtocol],
 ) -> "SnifferReceiver":
@@ -89,7 +89,7 @@ class SnifferReceiver(KeptReceiver):
         robot: str,
         name: str,
         options: SnifferOptions,
-        around: Surroundings,
+        around: DriverContext,
         protocol: Callable[[], SnifferProtocol],
     ) -> None:
         super().__init__(robot, name, around)

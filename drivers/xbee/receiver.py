@@ -14,9 +14,9 @@ from typing import Any, Self
 
 from digi.xbee.exception import InvalidOperatingModeException, XBeeException
 
-from drivers.keeper import KeptReceiver
 from drivers.links import UsbIdentity, open_link, port_of, usb_identity
 from drivers.options import checked
+from drivers.reconnecting import KeptReceiver
 from drivers.xbee.decode import WITHOUT_RSSI, Heard, db_answer, decode, name_of
 from drivers.xbee.diagnose import why_silent
 from drivers.xbee.energy import energies, parameter
@@ -25,7 +25,7 @@ from drivers.xbee.listen import FrameInterface, ListenOnly
 from drivers.xbee.settings import SATURATION_DBM, ModuleSettings, advice, read_settings, why_deaf
 from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 logger = logging.getLogger(__name__)
 
@@ -54,7 +54,7 @@ class XBeeOptions:
     """Mission time between energy scans."""
 
 
-def open_receiver(robot: str, options: Mapping[str, Any], around: Surroundings) -> "XBeeReceiver":
+def open_receiver(robot: str, options: Mapping[str, Any], around: DriverContext) -> "XBeeReceiver":
     """A receiver for `robot`, not opened yet. Raises `ConfigError` for options that cannot be."""
     where = f"receiver of {robot} (xbee)"
     chosen = checked(XBeeOptions, options, where)
@@ -67,7 +67,7 @@ def open_receiver(robot: str, options: Mapping[str, Any], around: Surroundings) 
     return XBeeReceiver(robot, chosen, around)
 
 
-def open_survey(robot: str, options: Mapping[str, Any], around: Surroundings) -> "XBeeReceiver":
+def open_survey(robot: str, options: Mapping[str, Any], around: DriverContext) -> "XBeeReceiver":
     """The receiver `ed`: energy scans back to back, on any firmware; hears packets only between them."""
     defaults = {"energy_scan_s": 2.0, "energy_scan_every_s": 0.0, "ask_db": True}
     return open_receiver(robot, defaults | dict(options), around)
@@ -76,7 +76,7 @@ def open_survey(robot: str, options: Mapping[str, Any], around: Surroundings) ->
 class XBeeReceiver(KeptReceiver):
     """Entering opens the radio and checks its settings; readings come from then on until closed."""
 
-    def __init__(self, robot: str, options: XBeeOptions, around: Surroundings) -> None:
+    def __init__(self, robot: str, options: XBeeOptions, around: DriverContext) -> None:
         super().__init__(robot, f"XBee of {robot}", around)
         self.settings: ModuleSettings | None = None
         """What the module said of itself when it was opened."""

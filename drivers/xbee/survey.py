@@ -8,7 +8,7 @@ from fieldkit.clock import RealClock
 from fieldkit.errors import DeviceError
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 FAILURES = 3
 """Scans in a row without an answer after which a module counts as one that cannot scan."""
@@ -26,14 +26,16 @@ async def _occupancy(port: str, baud: int, scans: int, scan_s: float, busy_dbm: 
     options = {"port": port, "baud": baud, "energy_scan_s": scan_s, "energy_scan_every_s": 0.0}
     over_time: list[dict[str, Any]] = []
     levels: dict[int, float] = {}
-    deaf_ns = began_ns = failures = 0
-    async with open_survey("this port", options, Surroundings(RealClock(), FieldFrame(0.0, 0.0))) as receiver:
+    receiver_down_ns = began_ns = failures = 0
+    async with open_survey(
+        "this port", options, DriverContext(RealClock(), FieldFrame(0.0, 0.0))
+    ) as receiver:
         async for item in receiver.readings():
             if isinstance(item, RssReading):
                 if item.via == "ed" and item.channel is not None:
                     levels[item.channel] = item.rss_dbm
                 continue
-            began_ns, deaf_ns, scanned = _state(item, began_ns, deaf_ns)
+            began_ns, receiver_down_ns, scanned = _state(item, began_ns, receiver_down_ns)
             if not scanned:
                 continue
             failures = 0 if levels else failures + 1
@@ -44,18 +46,18 @@ async def _occupancy(port: str, baud: int, scans: int, scan_s: float, busy_dbm: 
                 levels = {}
             if len(over_time) == scans:
                 break
-    return _summary(over_time, deaf_ns * 1e-9, busy_dbm)
+    return _summary(over_time, receiver_down_ns * 1e-9, busy_dbm)
 
 
-def _state(state: ReceiverState, began_ns: int, deaf_ns: int) -> tuple[int, int, bool]:
+def _state(state: ReceiverState, began_ns: int, receiver_down_ns: int) -> tuple[int, int, bool]:
     """(when it went deaf, deaf time so far, whether a scan has ended)."""
     if not state.up:
         if not state.reason.startswith("energy scan"):
             raise DeviceError(f"the radio was lost: {state.reason}")
-        return state.t_ns, deaf_ns, False
+        return state.t_ns, receiver_down_ns, False
     if not began_ns:
-        return 0, deaf_ns, False
-    return 0, deaf_ns + state.t_ns - began_ns, True
+        return 0, receiver_down_ns, False
+    return 0, receiver_down_ns + state.t_ns - began_ns, True
 
 
 def _summary(over_time: list[dict[str, Any]], deaf_s: float, busy_dbm: float) -> dict[str, Any]:

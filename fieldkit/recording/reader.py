@@ -215,7 +215,7 @@ class Recording:
         try:
             values = json.loads(data)
             if topic.family == "sources":
-                return [codec.decode(SourceEstimate, source) for source in values["sources"]], ""
+                return [codec.decode(SourceEstimate, _of_today(source)) for source in values["sources"]], ""
             if topic.kind is None:
                 return values, ""
             origin = values.pop("origin", "") if topic.family == "command" else ""
@@ -389,3 +389,8 @@ def _examine(recording: Recording) -> None:
     recording.problems = [*problems, *gaps]
     if not recording.problems and not all(map(is_whole, recording.parts)):
         recording.problems.append(NO_INDEX)
+
+
+def _of_today(source: dict[str, Any]) -> dict[str, Any]:
+    """A recorded source in today's words: recordings of before 2026-12 call an inconsistent one doubtful."""
+    return source | {"state": "inconsistent"} if source.get("state") == "doubtful" else source

@@ -27,7 +27,7 @@ _LEVELS = {"debug": Log.DEBUG, "info": Log.INFO, "warning": Log.WARNING, "error"
 _COLOURS = {
     "found": (0.1, 0.6, 0.2),
     "candidate": (0.95, 0.6, 0.1),
-    "doubtful": (0.6, 0.6, 0.6),
+    "inconsistent": (0.6, 0.6, 0.6),
     "removed": (0.4, 0.4, 0.5),
 }
 

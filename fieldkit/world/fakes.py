@@ -119,7 +119,7 @@ class FakeFleet:
         """Count it."""
         self.beats += 1
 
-    async def take_over(self, robot: str, *, arm: bool = True) -> None:
+    async def acquire_control(self, robot: str, *, arm: bool = True) -> None:
         """Ours, and armed."""
         self._check(robot)
         self._armed[robot] = self._armed[robot] or arm
@@ -160,7 +160,7 @@ class FakeFleet:
             self._set(robot, "hold")
 
     async def goto(self, robot: str, waypoint: Waypoint) -> None:
-        """Drive there. Refused before `take_over`, and for targets that are no numbers."""
+        """Drive there. Refused before `acquire_control`, and for targets that are no numbers."""
         self._check(robot)
         if not self._armed[robot]:
             raise VehicleRefused(f"{robot}: not ours to steer: take it over first")

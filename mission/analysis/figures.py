@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fieldkit.messages import SourceEstimate
-from mission.analysis.history import Story, read_story
+from mission.analysis.history import History, read_story
 
 FALSE_CELLS = 2.0
 """A find further than this many cells from every true source is false, as in `fieldkit study`."""
@@ -17,63 +17,63 @@ def figures(path: Path) -> dict[str, Any]:
     return row_of(read_story(path))
 
 
-def row_of(story: Story) -> dict[str, Any]:
+def row_of(history: History) -> dict[str, Any]:
     """See `figures`. `sources` holds a row for each true source, or each find where the truth is not known."""
-    kernel = story.mission.kernel
-    since = found_since(story)
-    sources = _against_truth(story, since) if story.truth else _finds(story, since)
+    kernel = history.mission.kernel
+    since = found_since(history)
+    sources = _against_truth(history, since) if history.truth else _finds(history, since)
     errors = [row["error_m"] for row in sources if row["error_m"] is not None]
     times = [row["found_after_s"] for row in sources]
     limit_m = FALSE_CELLS * kernel.engine.grid.cell_m
-    known = bool(story.truth)
+    known = bool(history.truth)
     return {
-        "recording": str(story.path),
-        "name": story.mission.file.name,
+        "recording": str(history.path),
+        "name": history.mission.file.name,
         "belief": kernel.belief,
         "planner": kernel.planner,
-        "seed": story.mission.file.seed,
+        "seed": history.mission.file.seed,
         "robots": len(kernel.engine.robots),
-        "duration_s": round(story.duration_s, 1),
-        "readings": sum(story.readings.values()),
-        "detections": len(story.detections),
-        "found": len(story.found),
-        "true_sources": len(story.truth) if known else None,
-        "false_finds": sum(_off(story, s) > limit_m for s in story.found) if known else None,
+        "duration_s": round(history.duration_s, 1),
+        "readings": sum(history.readings.values()),
+        "detections": len(history.detections),
+        "found": len(history.found),
+        "true_sources": len(history.truth) if known else None,
+        "false_finds": sum(_off(history, s) > limit_m for s in history.found) if known else None,
         "localised_all_s": max(times) if known and times and None not in times else None,
         "mean_error_m": round(float(np.mean(errors)), 3) if errors else None,
         "worst_error_m": round(max(errors), 3) if errors else None,
-        "probability_left": round(story.left[-1][1], 4) if story.left else None,
-        "end_reason": story.result["end_reason"] if story.result else "",
-        "complete": story.recording.complete,
-        "missing": story.recording.missing,
+        "probability_left": round(history.left[-1][1], 4) if history.left else None,
+        "end_reason": history.result["end_reason"] if history.result else "",
+        "complete": history.recording.complete,
+        "missing": history.recording.missing,
         "sources": sources,
     }
 
 
-def found_since(story: Story) -> dict[int, float]:
+def found_since(history: History) -> dict[int, float]:
     """Each source that was found at the end to the mission time since which it was, for good."""
     since: dict[int, float] = {}
-    for t_s, estimates in story.estimates:
+    for t_s, estimates in history.estimates:
         found = {source.ident for source in estimates if source.state == "found"}
         since = {ident: since.get(ident, t_s) for ident in found}
     return since
 
 
-def _against_truth(story: Story, since: dict[int, float]) -> list[dict[str, Any]]:
+def _against_truth(history: History, since: dict[int, float]) -> list[dict[str, Any]]:
     """A row for each true source with its nearest find, if that is near enough."""
-    limit_m = FALSE_CELLS * story.mission.kernel.engine.grid.cell_m
+    limit_m = FALSE_CELLS * history.mission.kernel.engine.grid.cell_m
     rows = []
-    for number, truth in enumerate(story.truth):
+    for number, truth in enumerate(history.truth):
         place = truth["east_m"], truth["north_m"]
-        near = min(story.found, key=lambda s: _distance(s, *place), default=None)
+        near = min(history.found, key=lambda s: _distance(s, *place), default=None)
         if near is not None and _distance(near, *place) > limit_m:
             near = None
         rows.append(_row(number, near, since, None if near is None else round(_distance(near, *place), 3)))
     return rows
 
 
-def _finds(story: Story, since: dict[int, float]) -> list[dict[str, Any]]:
-    return [_row(source.ident, source, since, None) for source in story.found]
+def _finds(history: History, since: dict[int, float]) -> list[dict[str, Any]]:
+    return [_row(source.ident, source, since, None) for source in history.found]
 
 
 def _row(
@@ -90,8 +90,8 @@ def _row(
     }
 
 
-def _off(story: Story, source: SourceEstimate) -> float:
-    return min(_distance(source, t["east_m"], t["north_m"]) for t in story.truth)
+def _off(history: History, source: SourceEstimate) -> float:
+    return min(_distance(source, t["east_m"], t["north_m"]) for t in history.truth)
 
 
 def _distance(source: SourceEstimate, east_m: float, north_m: float) -> float:

@@ -26,7 +26,7 @@ from mission.replay.replay import recorded_mission
 
 
 @dataclass
-class Story:
+class History:
     """A mission after the fact. Times `_s` count from the first tick."""
 
     path: Path
@@ -77,11 +77,11 @@ class Story:
         return [source for source in self.final if source.state == "found"]
 
 
-def read_story(path: Path) -> Story:
+def read_story(path: Path) -> History:
     """Read a recording, whole or cut. Raises `RecordingError` for what is not one."""
     recording = open_recording(path)
-    story = Story(path, recording, recorded_mission(recording))
-    story.truth = list(recording.metadata.get("truth", []))
+    history = History(path, recording, recorded_mission(recording))
+    history.truth = list(recording.metadata.get("truth", []))
     poses: dict[str, list[tuple[int, float, float]]] = defaultdict(list)
     first_ns: int | None = None
     last_ns = 0
@@ -97,41 +97,41 @@ def read_story(path: Path) -> Story:
             later.append((item.log_time_ns, value, item.origin))
     if not poses and first_ns is None and not later:
         raise RecordingError(f"{path}: it holds no events, so there is nothing to report")
-    story.start_ns = first_ns or 0
-    story.duration_s = max(0.0, (last_ns - story.start_ns) * 1e-9)
+    history.start_ns = first_ns or 0
+    history.duration_s = max(0.0, (last_ns - history.start_ns) * 1e-9)
     for robot, rows in sorted(poses.items()):
-        track = np.array([((t - story.start_ns) * 1e-9, e, n) for t, e, n in rows])
-        story.tracks[robot] = track
+        track = np.array([((t - history.start_ns) * 1e-9, e, n) for t, e, n in rows])
+        history.tracks[robot] = track
     for log_ns, value, origin in later:
-        _sort(story, (log_ns - story.start_ns) * 1e-9, value, origin)
-    story.belief = _last(recording)
-    story.result = recording.result()
-    return story
+        _sort(history, (log_ns - history.start_ns) * 1e-9, value, origin)
+    history.belief = _last(recording)
+    history.result = recording.result()
+    return history
 
 
-def _sort(story: Story, t_s: float, value: Any, origin: str) -> None:
+def _sort(history: History, t_s: float, value: Any, origin: str) -> None:
     match value:
         case Detection():
-            story.detections.append(((value.t_ns - story.start_ns) * 1e-9, value))
+            history.detections.append(((value.t_ns - history.start_ns) * 1e-9, value))
         case Plan():
-            story.plans.append((t_s, value))
+            history.plans.append((t_s, value))
         case Hold() if origin == "safety":
-            story.holds.append((t_s, value))
+            history.holds.append((t_s, value))
         case VehicleState():
-            modes = story.modes.setdefault(value.robot, [])
+            modes = history.modes.setdefault(value.robot, [])
             mode = value.mode if value.link_up else "link down"
             if not modes or modes[-1][1] != mode:
                 modes.append((t_s, mode))
         case ReceiverState():
-            story.receivers.setdefault(value.robot, []).append((t_s, value.up, value.reason))
+            history.receivers.setdefault(value.robot, []).append((t_s, value.up, value.reason))
         case RssReading():
-            story.readings[value.robot] = story.readings.get(value.robot, 0) + 1
+            history.readings[value.robot] = history.readings.get(value.robot, 0) + 1
         case list() | tuple():
-            story.estimates.append((t_s, list(value)))
+            history.estimates.append((t_s, list(value)))
         case _ if hasattr(value, "level"):
-            story.notes.append((t_s, value.level, value.text))
+            history.notes.append((t_s, value.level, value.text))
         case _ if hasattr(value, "digest") and "probability_left" in value.values:
-            story.left.append((t_s, value.values["probability_left"]))
+            history.left.append((t_s, value.values["probability_left"]))
 
 
 def _last(recording: Recording) -> BeliefGrid | None:

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from fieldkit.recording.log import Log
 from mission.analysis import plots
-from mission.analysis.history import Story, read_story
+from mission.analysis.history import History, read_story
 
 
 def plot_field(recording: Path | str | Log) -> Figure:
@@ -23,14 +23,14 @@ def plot_history(recording: Path | str | Log) -> Figure:
 
     The figure is as that of `plot_field`, and so are the errors.
     """
-    story = _read(recording)
+    history = _read(recording)
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
-    plots.draw_probability(above, story)
-    plots.draw_detections(below, story)
+    plots.draw_probability(above, history)
+    plots.draw_detections(below, history)
     above.set(xlabel="")
     return figure
 
 
-def _read(recording: Path | str | Log) -> Story:
+def _read(recording: Path | str | Log) -> History:
     return read_story(recording.path if isinstance(recording, Log) else Path(recording))

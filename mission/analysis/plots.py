@@ -12,13 +12,13 @@ from matplotlib.patches import Ellipse
 
 from fieldkit.messages import SourceEstimate
 from mission.analysis.coverage import SEARCHED, Coverage
-from mission.analysis.history import Story
+from mission.analysis.history import History
 from mission.analysis.refine import ELLIPSE_90, Fit, Refined
 from mission.analysis.use import Stretch, kind
 
 ROBOT_COLOURS = ("#0072b2", "#56b4e9", "#009e73", "#66c2a5", "#cc79a7", "#e7a6c9", "#8c6d31", "#bd9e39")
 """Neighbours share a hue: robots of a pair."""
-FOUND, CANDIDATE, DOUBTFUL, TRUTH = "#d62728", "#ff7f0e", "#7f7f7f", "#000000"
+FOUND, CANDIDATE, INCONSISTENT, TRUTH = "#d62728", "#ff7f0e", "#7f7f7f", "#000000"
 
 
 def svg(figure: Figure) -> str:
@@ -35,25 +35,25 @@ def _subplots(*, figsize: tuple[float, float]) -> tuple[Figure, Axes]:
     return figure, figure.subplots()
 
 
-def field_map(story: Story) -> Figure:
+def field_map(history: History) -> Figure:
     """Belief, tracks, sources with their 90 % ellipse, and the truth where it is known."""
-    field = story.mission.file.field
+    field = history.mission.file.field
     figure, axes = _subplots(figsize=(7.2, 6.4))
-    if story.belief is not None:
+    if history.belief is not None:
         # Cells that are likely differ by orders of magnitude from those that are merely unsearched.
         shown = axes.imshow(
-            np.log10(np.maximum(story.belief.values, 1e-5)), origin="lower", cmap="Greys", vmin=-5, vmax=0,
+            np.log10(np.maximum(history.belief.values, 1e-5)), origin="lower", cmap="Greys", vmin=-5, vmax=0,
             extent=(0, field.size_east_m, 0, field.size_north_m), aspect="equal", interpolation="nearest",
         )  # fmt: skip
         bar = figure.colorbar(shown, ax=axes, shrink=0.8, label="probability that the cell holds a source")
         bar.set_ticks([-5, -4, -3, -2, -1, 0], labels=["≤ 0.00001", "0.0001", "0.001", "0.01", "0.1", "1"])
-    for index, (robot, track) in enumerate(story.tracks.items()):
+    for index, (robot, track) in enumerate(history.tracks.items()):
         colour = ROBOT_COLOURS[index % len(ROBOT_COLOURS)]
         axes.plot(track[:, 1], track[:, 2], lw=0.6, color=colour, alpha=0.8, label=robot)
         axes.plot(track[-1, 1], track[-1, 2], "o", ms=5, color=colour)
-    for source in story.final:
+    for source in history.final:
         _draw_source(axes, source)
-    for index, truth in enumerate(story.truth):
+    for index, truth in enumerate(history.truth):
         axes.plot(
             truth["east_m"],
             truth["north_m"],
@@ -69,7 +69,7 @@ def field_map(story: Story) -> Figure:
 
 
 def _draw_source(axes: Axes, source: SourceEstimate) -> None:
-    colour = {"found": FOUND, "candidate": CANDIDATE, "doubtful": DOUBTFUL, "removed": DOUBTFUL}[source.state]
+    colour = {"found": FOUND, "candidate": CANDIDATE}.get(source.state, INCONSISTENT)
     axes.add_patch(ellipse(source.east_m, source.north_m, source.cov_m2, colour, "-"))
     axes.plot(source.east_m, source.north_m, "+", ms=8, mew=1.5, color=colour)
     axes.annotate(
@@ -81,46 +81,46 @@ def _draw_source(axes: Axes, source: SourceEstimate) -> None:
     )
 
 
-def probability_over_time(story: Story) -> Figure:
+def probability_over_time(history: History) -> Figure:
     """P(within one cell) of each source that ended as one, and the probability that one is left."""
     figure, axes = _subplots(figsize=(8.4, 2.8))
-    draw_probability(axes, story)
+    draw_probability(axes, history)
     return figure
 
 
-def draw_probability(axes: Axes, story: Story) -> None:
+def draw_probability(axes: Axes, history: History) -> None:
     """See `probability_over_time`."""
-    for source in story.final:
+    for source in history.final:
         points = [
-            (t, s.p_here) for t, all_then in story.estimates for s in all_then if s.ident == source.ident
+            (t, s.p_here) for t, all_then in history.estimates for s in all_then if s.ident == source.ident
         ]
         if points:
             t, p = zip(*points, strict=True)
             axes.step(t, p, where="post", label=f"source {source.ident}")
-    if story.left:
-        t, p = zip(*story.left, strict=True)
+    if history.left:
+        t, p = zip(*history.left, strict=True)
         axes.plot(t, p, color="black", ls=":", label="one is left")
-    axes.axhline(story.mission.kernel.engine.found_probability, color="grey", lw=0.8, ls="--")
+    axes.axhline(history.mission.kernel.engine.found_probability, color="grey", lw=0.8, ls="--")
     axes.set(
-        xlim=(0, max(story.duration_s, 1.0)), ylim=(0, 1.02), xlabel="mission time, s", ylabel="probability"
+        xlim=(0, max(history.duration_s, 1.0)), ylim=(0, 1.02), xlabel="mission time, s", ylabel="probability"
     )
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
 
 
-def detections_over_time(story: Story) -> Figure:
+def detections_over_time(history: History) -> Figure:
     """Every reading of every transmission, by robot."""
     figure, axes = _subplots(figsize=(8.4, 2.8))
-    draw_detections(axes, story)
+    draw_detections(axes, history)
     return figure
 
 
-def draw_detections(axes: Axes, story: Story) -> None:
+def draw_detections(axes: Axes, history: History) -> None:
     """See `detections_over_time`."""
-    for index, robot in enumerate(story.tracks):
+    for index, robot in enumerate(history.tracks):
         points = [
             (t, float(detection.rss_dbm[detection.robots.index(robot)]))
-            for t, detection in story.detections
+            for t, detection in history.detections
             if robot in detection.robots and not np.isnan(detection.rss_dbm[detection.robots.index(robot)])
         ]
         if points:
@@ -131,15 +131,15 @@ def draw_detections(axes: Axes, story: Story) -> None:
                 color=ROBOT_COLOURS[index % len(ROBOT_COLOURS)],
                 label=robot,
             )
-    axes.axhline(story.mission.kernel.engine.antenna.threshold_dbm, color="grey", lw=0.8, ls="--")
-    axes.set(xlim=(0, max(story.duration_s, 1.0)), xlabel="mission time, s", ylabel="RSSI, dBm")
+    axes.axhline(history.mission.kernel.engine.antenna.threshold_dbm, color="grey", lw=0.8, ls="--")
+    axes.set(xlim=(0, max(history.duration_s, 1.0)), xlabel="mission time, s", ylabel="RSSI, dBm")
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
 
 
-def use_of_robots(story: Story, rows: Sequence[Stretch]) -> Figure:
+def use_of_robots(history: History, rows: Sequence[Stretch]) -> Figure:
     """Who was on what, when: searching, on a candidate, on a ridge, held."""
-    robots = list(story.tracks)
+    robots = list(history.tracks)
     figure, axes = _subplots(figsize=(8.4, 0.5 + 0.35 * max(1, len(robots))))
     kinds = sorted({kind(purpose) for *_, purpose in rows})
     colour: dict[str, Any] = dict(
@@ -157,13 +157,13 @@ def use_of_robots(story: Story, rows: Sequence[Stretch]) -> Figure:
     for each in kinds:
         axes.barh(0, 0, color=colour.get(each, "grey"), label=each)
     axes.set_yticks(range(len(robots)), labels=robots)
-    axes.set(xlim=(0, max(story.duration_s, 1.0)), xlabel="mission time, s")
+    axes.set(xlim=(0, max(history.duration_s, 1.0)), xlabel="mission time, s")
     if kinds:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
     return figure
 
 
-def searched_map(story: Story, covered: Coverage) -> Figure:
+def searched_map(history: History, covered: Coverage) -> Figure:
     """Where a source would have been heard, had there been one."""
     east_m, north_m = covered.size_m
     figure, axes = _subplots(figsize=(4.6, 4.2))
@@ -187,21 +187,21 @@ def searched_map(story: Story, covered: Coverage) -> Figure:
     return figure
 
 
-def source_map(story: Story, source: SourceEstimate, refined: Refined | None) -> Figure:
+def source_map(history: History, source: SourceEstimate, refined: Refined | None) -> Figure:
     """The surroundings of one source: belief, its receptions by strength, estimate, refinement, truth."""
-    half = _surroundings_m(story, source, refined)
+    half = _surroundings_m(history, source, refined)
     figure, axes = _subplots(figsize=(4.4, 4.0))
-    field = story.mission.file.field
-    if story.belief is not None:
+    field = history.mission.file.field
+    if history.belief is not None:
         axes.imshow(
-            np.log10(np.maximum(story.belief.values, 1e-5)), origin="lower", cmap="Greys", vmin=-5, vmax=0,
+            np.log10(np.maximum(history.belief.values, 1e-5)), origin="lower", cmap="Greys", vmin=-5, vmax=0,
             extent=(0, field.size_east_m, 0, field.size_north_m), aspect="equal", interpolation="nearest",
         )  # fmt: skip
     if refined is not None:
         weight = refined.share
         places = [
             (float(e), float(n), float(z))
-            for (_, d), w in zip(story.detections, weight, strict=True)
+            for (_, d), w in zip(history.detections, weight, strict=True)
             if w > 0.5
             for (e, n), z in zip(d.position_m, d.rss_dbm, strict=True)
             if not np.isnan(z)
@@ -214,7 +214,7 @@ def source_map(story: Story, source: SourceEstimate, refined: Refined | None) ->
             axes.add_patch(ellipse(refined.east_m, refined.north_m, refined.cov_m2, "#1f77b4", "-"))
         axes.plot(refined.east_m, refined.north_m, "x", ms=8, mew=1.8, color="#1f77b4", label="refined")
     _draw_source(axes, source)
-    for index, truth in enumerate(story.truth):
+    for index, truth in enumerate(history.truth):
         axes.plot(truth["east_m"], truth["north_m"], "k*", ms=9, label="" if index else "true")
     axes.set(
         xlim=(source.east_m - half, source.east_m + half), ylim=(source.north_m - half, source.north_m + half),
@@ -223,14 +223,14 @@ def source_map(story: Story, source: SourceEstimate, refined: Refined | None) ->
     return figure
 
 
-def _surroundings_m(story: Story, source: SourceEstimate, refined: Refined | None) -> float:
+def _surroundings_m(history: History, source: SourceEstimate, refined: Refined | None) -> float:
     """How far around a source to look: its ellipse, some cells, and most of the places it was heard from."""
     sigma = float(np.sqrt(max(np.trace(source.cov_m2) / 2, 0.0)))
-    reach = [5.0 * sigma, 5.0 * story.mission.kernel.engine.grid.cell_m]
+    reach = [5.0 * sigma, 5.0 * history.mission.kernel.engine.grid.cell_m]
     if refined is not None:
         far = [
             float(np.hypot(e - source.east_m, n - source.north_m))
-            for (_, d), share in zip(story.detections, refined.share, strict=True)
+            for (_, d), share in zip(history.detections, refined.share, strict=True)
             if share > 0.5
             for (e, n), z in zip(d.position_m, d.rss_dbm, strict=True)
             if not np.isnan(z)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mission.analysis.history import Story
+from mission.analysis.history import History
 
 Stretch = tuple[str, float, float, str]
 """Robot, from s, to s, on what."""
@@ -26,15 +26,15 @@ def kind(purpose: str) -> str:
     return KINDS.get(word, word)
 
 
-def stretches(story: Story) -> list[Stretch]:
+def stretches(history: History) -> list[Stretch]:
     """What each robot was on, from the plans, cut by safety's holds."""
     rows: list[Stretch] = []
-    for robot in story.tracks:
-        marks = [(t, plan.purpose[robot]) for t, plan in story.plans if robot in plan.purpose]
-        marks += [(t, "held") for t, hold in story.holds if hold.robot == robot]
+    for robot in history.tracks:
+        marks = [(t, plan.purpose[robot]) for t, plan in history.plans if robot in plan.purpose]
+        marks += [(t, "held") for t, hold in history.holds if hold.robot == robot]
         marks.sort(key=lambda mark: mark[0])
         for index, (t, purpose) in enumerate(marks):
-            end = marks[index + 1][0] if index + 1 < len(marks) else story.duration_s
+            end = marks[index + 1][0] if index + 1 < len(marks) else history.duration_s
             if rows and rows[-1][0] == robot and rows[-1][3] == purpose:
                 rows[-1] = (robot, rows[-1][1], end, purpose)
             else:
@@ -69,16 +69,16 @@ class Use:
         return max(0.0, 1.0 - self.on_ridge - self.held)
 
 
-def use(story: Story, rows: list[Stretch]) -> list[Use]:
+def use(history: History, rows: list[Stretch]) -> list[Use]:
     """Each robot's mission in numbers."""
     found = []
-    whole_s = max(story.duration_s, 1e-9)
-    for robot, track in story.tracks.items():
+    whole_s = max(history.duration_s, 1e-9)
+    for robot, track in history.tracks.items():
         share: dict[str, float] = {}
         for name, start_s, end_s, purpose in rows:
             if name == robot:
                 share[kind(purpose)] = share.get(kind(purpose), 0.0) + (end_s - start_s) / whole_s
         steps = np.hypot(np.diff(track[:, 1]), np.diff(track[:, 2]))
-        down_s = sum(end - start for start, end in story.down(robot))
-        found.append(Use(robot, float(steps.sum()), story.readings.get(robot, 0), share, down_s))
+        down_s = sum(end - start for start, end in history.down(robot))
+        found.append(Use(robot, float(steps.sum()), history.readings.get(robot, 0), share, down_s))
     return found

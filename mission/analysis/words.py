@@ -3,34 +3,34 @@
 import numpy as np
 
 from mission.analysis.coverage import SEARCHED, Coverage
-from mission.analysis.history import Story
+from mission.analysis.history import History
 from mission.analysis.refine import Fit
 
 ODD_BIAS_DB, ODD_RATIO = 2.0, 1.3
 """Readings that are off by more on average, or scatter so many times as wide, do not look like the antenna file."""
 
 
-def found(story: Story) -> list[str]:
+def found(history: History) -> list[str]:
     """What was heard and found, and how sure that is."""
     sentences = []
-    if story.recording.missing:
-        sentences.append(f"The recording is not whole: {story.recording.missing}.")
-    heard = len(story.detections)
+    if history.recording.missing:
+        sentences.append(f"The recording is not whole: {history.recording.missing}.")
+    heard = len(history.detections)
     if not heard:
-        return [*sentences, f"In {minutes(story.duration_s)} nothing was heard, so nothing was found."]
-    count = len(story.found)
+        return [*sentences, f"In {minutes(history.duration_s)} nothing was heard, so nothing was found."]
+    count = len(history.found)
     sentences.append(
-        f"In {minutes(story.duration_s)} the team heard {heard} transmission{'s' * (heard > 1)} and found "
+        f"In {minutes(history.duration_s)} the team heard {heard} transmission{'s' * (heard > 1)} and found "
         f"{count or 'no'} source{'s' * (count != 1)}."
     )
-    for source in story.found:
+    for source in history.found:
         sigma = float(np.sqrt(np.trace(source.cov_m2) / 2))
         sentences.append(
             f"Source {source.ident} is at {source.east_m:.2f} m east, {source.north_m:.2f} m north (standard deviation "
             f"{sigma:.2f} m): {percent(source.p_here)} sure within one cell, from {source.receptions:.0f} receptions."
         )
-    for source in story.final:
-        if source.state == "doubtful":
+    for source in history.final:
+        if source.state == "inconsistent":
             sentences.append(f"No position is claimed for source {source.ident}: {source.note}.")
         elif source.state == "candidate" and source.p_exists > 0.5:
             sentences.append(
@@ -40,9 +40,9 @@ def found(story: Story) -> list[str]:
     return sentences
 
 
-def silent(story: Story, covered: Coverage) -> list[str]:
+def silent(history: History, covered: Coverage) -> list[str]:
     """What was searched and stayed silent, and what may be left."""
-    field = story.mission.file.field
+    field = history.mission.file.field
     every_s = 1.0 / covered.rate_hz
     share, whole_m2 = percent(covered.searched_share), field.size_east_m * field.size_north_m
     sentences = [
@@ -54,8 +54,8 @@ def silent(story: Story, covered: Coverage) -> list[str]:
         sentences.append(
             f"Least was searched in {where}: there it would have been heard with {percent(mean)} on average."
         )
-    if story.left:
-        left = story.left[-1][1]
+    if history.left:
+        left = history.left[-1][1]
         sentences.append(
             f"The probability that a source sending so often or oftener is still unfound is {percent(left)}"
             + (": another search is worth it." if left > 0.2 else ".")
@@ -81,16 +81,16 @@ def fit(readings: Fit) -> str:
     )
 
 
-def ending(story: Story) -> list[str]:
+def ending(history: History) -> list[str]:
     """Why it ended, and whether safety had to step in."""
     sentences = []
-    if story.result is not None:
-        sentences.append(f"The mission ended because {story.result['end_reason']}.")
+    if history.result is not None:
+        sentences.append(f"The mission ended because {history.result['end_reason']}.")
     else:
         sentences.append("The recording ends before the mission did.")
-    held = sorted({hold.robot for _, hold in story.holds})
+    held = sorted({hold.robot for _, hold in history.holds})
     if held:
-        sentences.append(f"Safety held {', '.join(held)} ({len(story.holds)} orders).")
+        sentences.append(f"Safety held {', '.join(held)} ({len(history.holds)} orders).")
     return sentences
 
 

@@ -58,7 +58,7 @@ class KernelSettings:
     """End when the probability that a source is left falls below this."""
     stop_after_periods: int | None = None
     """End when nothing more was found in so many planning periods in a row: k_max of RWA and PRWA's Algorithm 2."""
-    deaf_limit_s: float = given.RADIO_TIMEOUT_S.default
+    receiver_down_limit_s: float = given.RADIO_TIMEOUT_S.default
     """A robot whose radio is down for longer is not planned for: its team goes on without it."""
     battery_reserve_pct: float = given.BATTERY_RESERVE_PCT.default
     """What must be left when a robot is home again."""
@@ -104,7 +104,7 @@ class _Robot:
     vehicle: VehicleState | None = None
     held: bool = False
     """Held by the operator until resumed."""
-    deaf_ns: int | None = None
+    receiver_down_ns: int | None = None
     """Since when its radio is down."""
 
 
@@ -181,7 +181,7 @@ class Kernel:
                 self.associator.receiver(event)
                 if event.robot in self.robots:
                     robot = self.robots[event.robot]
-                    robot.deaf_ns = None if event.up else robot.deaf_ns or event.t_ns
+                    robot.receiver_down_ns = None if event.up else robot.receiver_down_ns or event.t_ns
                 outcome = NOTHING
             case VehicleState():
                 if event.robot in self.robots:
@@ -304,7 +304,7 @@ class Kernel:
         """
         if not detections or not self._team_by_team:
             return ()
-        open_m = [(s.east_m, s.north_m) for s in self.sources() if s.state in ("candidate", "doubtful")]
+        open_m = [(s.east_m, s.north_m) for s in self.sources() if s.state in ("candidate", "inconsistent")]
         engine = self.settings.engine
         reach_m = NEWS_RANGES * float(engine.antenna.nominal_range_m(max(engine.power_levels_db)))
         heard_by = {
@@ -410,7 +410,8 @@ class Kernel:
         robot = self.robots[name]
         if robot.pose is None or robot.held:
             return False
-        if robot.deaf_ns is not None and (self._now_ns - robot.deaf_ns) * 1e-9 > self.settings.deaf_limit_s:
+        down_ns = robot.receiver_down_ns
+        if down_ns is not None and (self._now_ns - down_ns) * 1e-9 > self.settings.receiver_down_limit_s:
             return False
         vehicle = robot.vehicle
         return vehicle is None or (vehicle.link_up and vehicle.mode in ("guided", "hold"))

@@ -222,7 +222,7 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         arrive_m=file.engine.arrive_m or given.arrive_m(file.safety.max_speed_m_s, file.engine.pose_sigma_m),
         altitude_m=file.altitudes_m(),
         max_duration_s=file.end.max_duration_s,
-        deaf_limit_s=file.safety.radio_timeout_s,
+        receiver_down_limit_s=file.safety.radio_timeout_s,
         battery_reserve_pct=file.safety.battery_reserve_pct,
         battery_pct_per_m=file.safety.battery_pct_per_m,
         sources_expected=file.end.sources_found,

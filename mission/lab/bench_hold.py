@@ -17,7 +17,7 @@ from fieldkit import plugins
 from fieldkit.clock import RealClock, wall_s
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import GoTo, Waypoint
-from fieldkit.ports import Surroundings, VehicleLink
+from fieldkit.ports import DriverContext, VehicleLink
 from mission.shell.dispatcher import Dispatcher
 
 ROBOTS = 16
@@ -71,7 +71,7 @@ async def _bench(seed: int):  # type: ignore[no-untyped-def]
     link: VehicleLink = plugins.load("fieldkit.vehicles", "mavlink")(
         f"udpin:127.0.0.1:{port}",
         {f"r{k}": {"system_id": k} for k in range(1, ROBOTS + 1)},
-        Surroundings(clock, frame),
+        DriverContext(clock, frame),
     )
     async with link:
         factory = plugins.load("fieldkit.emulators", "fleet")

@@ -238,7 +238,7 @@ class Dispatcher:
             case Land():
                 await link.land(robot)
             case "acquire control":
-                await link.take_over(robot)
+                await link.acquire_control(robot)
                 if (up_m := self._altitude_m.get(robot)) is not None:
                     await link.take_off(robot, up_m)
             case _:

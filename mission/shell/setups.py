@@ -17,7 +17,7 @@ from fieldkit import plugins
 from fieldkit.channel.antenna_file import with_pattern
 from fieldkit.channel.model import Antenna
 from fieldkit.clock import Clock, RealClock, ScaledClock
-from fieldkit.ports import PositionSource, Receiver, Surroundings, VehicleLink
+from fieldkit.ports import DriverContext, PositionSource, Receiver, VehicleLink
 from fieldkit.world.sources import TransientSource
 from mission.core.mission_file import Mission
 from mission.core.tables import RobotTable
@@ -62,7 +62,7 @@ def live(mission: Mission, clock: Clock | None = None) -> Setup:
 
 def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emulator: Any = None) -> Setup:
     tap = RawTap() if mission.file.recording.raw else None
-    around = Surroundings(clock, mission.frame, tap)
+    around = DriverContext(clock, mission.frame, tap)
     receivers = []
     for robot in robots:
         make = plugins.load("fieldkit.receivers", robot.receiver.driver)
@@ -78,7 +78,7 @@ def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emula
 
 def with_vehicles(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock) -> tuple[VehicleLink, ...]:
     """The links to the robots' vehicles: robots at one address share one."""
-    around = Surroundings(clock, mission.frame)
+    around = DriverContext(clock, mission.frame)
     grouped: dict[tuple[str, str], dict[str, dict[str, Any]]] = {}
     for robot in robots:
         key = (robot.vehicle.driver, robot.vehicle.address)

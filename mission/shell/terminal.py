@@ -89,7 +89,7 @@ def _teams(progress: Progress) -> list[tuple[str, str]]:
 
 def _by_interest(sources: Sequence[SourceEstimate]) -> list[SourceEstimate]:
     """Finds first, then by how surely a source is there; candidates that are hardly one are left out."""
-    rank = {"found": 0, "removed": 1, "doubtful": 2, "candidate": 3}
+    rank = {"found": 0, "removed": 1, "inconsistent": 2, "candidate": 3}
     seen = [s for s in sources if s.state != "candidate" or s.p_exists >= LEAST_P]
     return sorted(seen, key=lambda s: (rank[s.state], -s.p_exists, s.ident))
 
@@ -120,7 +120,7 @@ def _panel(progress: Progress) -> Group:
         sources.add_column(column, justify="right" if column != "state" else "left", no_wrap=True)
     listed = _by_interest(progress.kernel.sources())
     for s in listed[:MOST_SOURCES]:
-        style = "green" if s.state == "found" else "yellow" if s.state == "doubtful" else ""
+        style = "green" if s.state == "found" else "yellow" if s.state == "inconsistent" else ""
         sources.add_row(
             str(s.ident),
             f"{s.east_m:.2f}",

@@ -9,13 +9,13 @@ from typer.testing import CliRunner
 
 from calibration.cli import app
 from calibration.collect import Beacon, Collector, parse_answer
+from calibration.collect_log import CollectLog, free_path, metadata, places_of
 from calibration.collection import Packet, Place, from_csv, packets_from, still_missing, to_csv
 from calibration.dataset import read_readings
 from calibration.fit import fit
 from calibration.importing import csv_from_recording
-from calibration.journal import Journal, free_path, metadata, places_of
 from calibration.options import settings
-from calibration.whereabouts import Whereabouts
+from calibration.positions import PositionFeed
 from fieldkit.clock import VirtualClock
 from fieldkit.errors import ConfigError, DataError, DeviceError
 from fieldkit.messages import Pose, ReceiverState, RssReading, VehicleState
@@ -79,7 +79,7 @@ def operator(receiver, answers):
     return ask
 
 
-def run(out: Path, answers, *, journal=None, headings=(), ask=None, where=None, **more):
+def run(out: Path, answers, *, collect_log=None, headings=(), ask=None, where=None, **more):
     clock = SteppedClock(100 * SECOND)
     receiver = FakeReceiver(clock, **more)
     said: list[str] = []
@@ -90,7 +90,7 @@ def run(out: Path, answers, *, journal=None, headings=(), ask=None, where=None, 
         out,
         ask or operator(receiver, answers),
         said.append,
-        journal,
+        collect_log,
         where and where(clock, receiver),
         headings,
     )
@@ -192,7 +192,7 @@ class FakeRover:
                 yield Pose(stamp, "r1", self.east_m, 0.0, heading_deg=0.0, sigma_m=0.02)
 
     def beat(self): ...
-    async def take_over(self, robot, *, arm=True): ...
+    async def acquire_control(self, robot, *, arm=True): ...
     async def goto(self, robot, waypoint): ...
     async def hold(self, robot): ...
     async def return_home(self, robot): ...
@@ -204,7 +204,7 @@ def tracked(out, steps, transmitter=None, late_s=0.0, **more):
 
     def where(clock, receiver):
         rover.append(FakeRover(clock, receiver, late_s))
-        return Whereabouts("r1", rover[0], transmitter)
+        return PositionFeed("r1", rover[0], transmitter)
 
     queue = list(steps)
 
@@ -263,7 +263,7 @@ def test_the_antenna_is_turned_through_headings_at_each_place(tmp_path):
 def test_a_recording_of_the_collection_gives_the_same_readings(tmp_path):
     log, out = tmp_path / "r.mcap", tmp_path / "r.csv"
     with RecordingWriter(log, metadata=metadata("beacon", 1.0, 15)) as writer:
-        run(out, ["1", "2", "u", "3", "q"], journal=Journal(writer))
+        run(out, ["1", "2", "u", "3", "q"], collect_log=CollectLog(writer))
     recording = open_recording(log)
     assert places_of(recording) == from_csv(out)
     assert csv_from_recording(log)[0] == out.read_text()
@@ -275,7 +275,7 @@ def test_a_second_recording_holds_what_the_first_run_collected(tmp_path):
     for answers in (["1", "2", "q"], ["u", "3", "q"]):
         log = free_path(out.with_suffix(".mcap"))
         with RecordingWriter(log, metadata=metadata("beacon", 1.0, 15)) as writer:
-            run(out, answers, journal=Journal(writer))
+            run(out, answers, collect_log=CollectLog(writer))
     assert log.name == "r-2.mcap"
     assert csv_from_recording(log)[0] == out.read_text()
 

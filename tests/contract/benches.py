@@ -31,14 +31,14 @@ from drivers.sniffers.receiver import open_nrf, open_ti
 from drivers.xbee.receiver import open_receiver, open_survey
 from fieldkit.clock import Clock, RealClock, ScaledClock
 from fieldkit.geo import FieldFrame
-from fieldkit.ports import ReceiverFactory, Surroundings
+from fieldkit.ports import DriverContext, ReceiverFactory
 from fieldkit.testing import PositionSourceBench, ReceiverBench, VehicleLinkBench
 
 FRAME = FieldFrame(47.3977, 8.5456, 400.0)
 
 
-def around(clock: Clock | None = None) -> Surroundings:
-    return Surroundings(clock or RealClock(), FRAME)
+def around(clock: Clock | None = None) -> DriverContext:
+    return DriverContext(clock or RealClock(), FRAME)
 
 
 Bench = Callable[[], contextlib.AbstractAsyncContextManager[ReceiverBench]]

@@ -73,7 +73,7 @@ class Drive:
         """Ours, armed, and in the air where it flies. A simulator takes its time until it would arm."""
         for _ in range(60):
             with suppress(VehicleRefused, DeviceTimeout):
-                await self.link.take_over(ROBOT)
+                await self.link.acquire_control(ROBOT)
                 break
             await self.clock.sleep(2.0)
         if self.vehicle.flies:
@@ -190,7 +190,7 @@ async def a_copter_needs_an_altitude(drive: Drive) -> None:
         return
     for _ in range(60):
         with suppress(VehicleRefused, DeviceTimeout):
-            await drive.link.take_over(ROBOT)
+            await drive.link.acquire_control(ROBOT)
             break
         await drive.clock.sleep(2.0)
     assert drive.state.armed

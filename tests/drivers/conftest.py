@@ -14,7 +14,7 @@ from drivers.emulators.xbee import PROFILES, Module
 from drivers.xbee.receiver import XBeeReceiver, open_receiver
 from fieldkit.clock import RealClock
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "contract"))
 from benches import FRAME, until
@@ -59,7 +59,7 @@ async def plug(tmp_path: Path) -> AsyncIterator[Callable[..., Any]]:
 @asynccontextmanager
 async def listening(port: str, **options: Any) -> AsyncIterator[Listening]:
     """Open a receiver and collect what it gives."""
-    receiver = open_receiver("ada", {"port": port, **options}, Surroundings(RealClock(), FRAME))
+    receiver = open_receiver("ada", {"port": port, **options}, DriverContext(RealClock(), FRAME))
     async with receiver:
         heard = Listening(receiver)
 

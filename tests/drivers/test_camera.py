@@ -29,13 +29,13 @@ from drivers.emulators.camera import (
 )
 from fieldkit.clock import RealClock, ScaledClock
 from fieldkit.errors import CalibrationRefused, ConfigError, DeviceError
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 from fieldkit.testing import nothing_left
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install spog-fieldkit[camera]")
 
 FIELD = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0], [5.0, 0.0], [10.0, 5.0]])
-AROUND = Surroundings(RealClock(), FRAME)
+AROUND = DriverContext(RealClock(), FRAME)
 
 
 def pixels_of(field_m, eye=None):
@@ -143,12 +143,12 @@ def test_a_marker_gives_place_and_heading(judge):
 
 def test_a_marker_seen_twice_is_doubtful_and_the_others_are_not(judge):
     fixes = judge.judge([seen_at("ada", 3, 4), seen_at("ada", 7, 7), seen_at("bob", 1, 1)], 0.0)
-    assert [fix.robot for fix in fixes] == ["bob"] and judge.doubtful == {"ada": "seen twice"}
+    assert [fix.robot for fix in fixes] == ["bob"] and judge.inconsistent == {"ada": "seen twice"}
 
 
 def test_a_mark_of_the_wrong_size_is_doubtful(judge):
     assert judge.judge([seen_at("ada", 3, 4, side=0.8)], 0.0) == []
-    assert "expected" in judge.doubtful["ada"]
+    assert "expected" in judge.inconsistent["ada"]
 
 
 def test_a_jump_is_believed_once_it_stays(judge):
@@ -206,7 +206,7 @@ def test_two_of_one_marker_in_a_picture_give_no_pose(tmp_path):
     scene, options, _ = one_film(tmp_path, robots)
     scene.robots["twin"] = Shown(still(7.0, 7.0, 10.0), marker=3)
     finder = Finder(make_task(CameraOptions(**options)))
-    assert finder.fixes(scene.picture(0.0), 0.0) == [] and finder.judge.doubtful == {"ada": "seen twice"}
+    assert finder.fixes(scene.picture(0.0), 0.0) == [] and finder.judge.inconsistent == {"ada": "seen twice"}
 
 
 @pytest.mark.parametrize("family", ["aruco-4x4", "aruco-5x5", "apriltag-16h5", "apriltag-36h11"])
@@ -239,7 +239,7 @@ async def test_a_film_gives_its_poses_and_ends(tmp_path):
 async def test_a_scaled_clock_stamps_pictures_in_mission_time(tmp_path):
     _, options, _ = one_film(tmp_path, {"ada": Shown(still(5.0, 5.0, 0.0), marker=3)}, 1.0)
     clock = ScaledClock(10.0)
-    async with open_camera(options, Surroundings(clock, FRAME)) as source:
+    async with open_camera(options, DriverContext(clock, FRAME)) as source:
         poses = [pose async for pose in source.poses()]
     assert (poses[-1].t_ns - poses[0].t_ns) * 1e-9 > 5.0
 

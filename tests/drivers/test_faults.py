@@ -20,7 +20,7 @@ from drivers.xbee.receiver import open_receiver
 from fieldkit.clock import RealClock
 from fieldkit.errors import DeviceError
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 from fieldkit.testing import nothing_left
 
 CLOCK = RealClock()
@@ -51,7 +51,7 @@ class Open:
     async def __aenter__(self):
         await self.radio.plug()
         options = {"port": self.radio.wire.port, **self.options}
-        self.receiver = self.opener("ada", options, Surroundings(CLOCK, FRAME))
+        self.receiver = self.opener("ada", options, DriverContext(CLOCK, FRAME))
         await self.receiver.__aenter__()
         self.task = asyncio.create_task(self.collect())
         return self
@@ -138,7 +138,7 @@ async def test_a_dongles_clock_may_drift_and_jump_back(tmp_path, make, opener):
     radio = PluggedModule(make(skewed), PtyWire(tmp_path / "radio"))
     await radio.plug()
     readings, sent = [], []
-    around = Surroundings(CLOCK, FRAME)
+    around = DriverContext(CLOCK, FRAME)
     async with opener("ada", {"port": radio.wire.port}, around) as receiver:
 
         async def collect():
@@ -176,7 +176,7 @@ async def test_at_the_wrong_baud_rate_opening_fails_and_says_so(tmp_path, name):
 
     talking = asyncio.create_task(chatter())
     with pytest.raises(DeviceError, match="baud"):
-        async with opener("ada", {"port": radio.wire.port}, Surroundings(CLOCK, FRAME)):
+        async with opener("ada", {"port": radio.wire.port}, DriverContext(CLOCK, FRAME)):
             pass
     talking.cancel()
     await asyncio.wait({talking})
@@ -199,7 +199,7 @@ async def test_another_firmware_is_told_from_none(tmp_path, opener):
 
         talking = asyncio.create_task(chatter())
         with pytest.raises(DeviceError) as caught:
-            async with opener("ada", {"port": radio.wire.port}, Surroundings(CLOCK, FRAME)):
+            async with opener("ada", {"port": radio.wire.port}, DriverContext(CLOCK, FRAME)):
                 pass
         words.append(str(caught.value))
         talking.cancel()
@@ -212,7 +212,7 @@ async def test_another_firmware_is_told_from_none(tmp_path, opener):
 async def test_a_missing_port_is_named_with_a_remedy(tmp_path, name):
     opener = RADIOS[name][1]
     with pytest.raises(DeviceError, match=r"no device at .*ttyUSB7"):
-        async with opener("ada", {"port": str(tmp_path / "ttyUSB7")}, Surroundings(CLOCK, FRAME)):
+        async with opener("ada", {"port": str(tmp_path / "ttyUSB7")}, DriverContext(CLOCK, FRAME)):
             pass
 
 
@@ -220,7 +220,7 @@ async def test_a_missing_port_is_named_with_a_remedy(tmp_path, name):
 async def test_a_busy_port_is_named_with_a_remedy(tmp_path, name):
     async with Open(name, tmp_path) as bench:
         with pytest.raises(DeviceError, match="in use by another program"):
-            async with bench.opener("bob", {"port": bench.radio.wire.port}, Surroundings(CLOCK, FRAME)):
+            async with bench.opener("bob", {"port": bench.radio.wire.port}, DriverContext(CLOCK, FRAME)):
                 pass
 
 
@@ -230,7 +230,7 @@ async def test_a_strength_that_is_none_gives_no_reading(tmp_path, make, opener, 
     """0 and positive values are what a firmware says where it has no measurement."""
     radio = PluggedModule(make(now_us), PtyWire(tmp_path / "radio"))
     await radio.plug()
-    async with opener("ada", {"port": radio.wire.port}, Surroundings(CLOCK, FRAME)) as receiver:
+    async with opener("ada", {"port": radio.wire.port}, DriverContext(CLOCK, FRAME)) as receiver:
         radio.hear(float(rss_dbm), SENDER, b"x")
         radio.hear(-70.0, SENDER, b"x")
         async for item in receiver.readings():

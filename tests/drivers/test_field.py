@@ -77,7 +77,7 @@ async def test_four_robots_hear_drive_and_are_heard():
 
         tasks = [asyncio.create_task(job) for job in (*map(listen, receivers), follow(), beat())]
         opening = {name: each["bytes_from_host"] for name, each in field.counts()["robots"].items()}
-        await asyncio.gather(*(link.take_over(robot.name) for robot in ROBOTS))
+        await asyncio.gather(*(link.acquire_control(robot.name) for robot in ROBOTS))
         goals = {robot.name: (robot.east_m, 3.0) for robot in ROBOTS}
         await asyncio.gather(
             *(link.goto(name, Waypoint(*goal, speed_m_s=0.4)) for name, goal in goals.items())

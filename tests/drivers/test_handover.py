@@ -3,11 +3,11 @@
 import asyncio
 import threading
 
-from drivers.handover import Handover
+from drivers.bounded_queue import BoundedQueue
 
 
 async def test_items_keep_their_order_from_a_thread():
-    queue = Handover()
+    queue = BoundedQueue()
 
     def produce():
         for number in range(1, 5001):
@@ -25,7 +25,7 @@ async def test_items_keep_their_order_from_a_thread():
 
 
 async def test_what_does_not_fit_is_refused_and_what_must_not_be_lost_is_taken():
-    queue = Handover(limit=2)
+    queue = BoundedQueue(limit=2)
     assert [queue.put(number) for number in (1, 2, 3)] == [True, True, False]
     assert queue.put(4, always=True)
     queue.close()
@@ -34,11 +34,11 @@ async def test_what_does_not_fit_is_refused_and_what_must_not_be_lost_is_taken()
 
 
 async def test_a_cancelled_consumer_loses_nothing_it_was_not_given():
-    queue = Handover()
+    queue = BoundedQueue()
     for number in (1, 2, 3):
         queue.put(number)
     first = await anext(queue.items())
-    waiting = asyncio.create_task(anext(Handover().items()))
+    waiting = asyncio.create_task(anext(BoundedQueue().items()))
     await asyncio.sleep(0)
     waiting.cancel()
     queue.close()

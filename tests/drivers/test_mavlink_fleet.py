@@ -109,7 +109,7 @@ async def test_must_beat_only_when_the_steering_loop_does():
 
 async def test_must_let_vehicles_hold_when_steering_dies_and_not_resume_by_itself():
     async with team(gcs_failsafe_s=6.0) as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         t.beating = False
         await until(lambda: t.rovers[0].autopilot.mode == HOLD)
         t.beating = True
@@ -118,7 +118,7 @@ async def test_must_let_vehicles_hold_when_steering_dies_and_not_resume_by_itsel
         with pytest.raises(VehicleRefused, match="not ours"):
             await t.link.goto("ada", here())
         assert t.rovers[0].autopilot.mode == HOLD
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.goto("ada", here())
         assert t.rovers[0].autopilot.mode == GUIDED
 
@@ -127,7 +127,7 @@ async def test_must_reject_two_vehicles_with_one_id():
     async with team() as t, rovers_on_udp({1: (9.0, 9.0)}, t.clock, t.port) as twins:
         await until(lambda: any("two vehicles have system id 1" in text for text in t.texts()))
         with pytest.raises(VehicleRefused, match="system id 1"):
-            await t.link.take_over("ada")
+            await t.link.acquire_control("ada")
         with pytest.raises(VehicleRefused, match="system id 1"):
             await t.link.goto("ada", here())
         count = len(t.poses())
@@ -142,10 +142,10 @@ async def test_must_reject_two_vehicles_with_one_id():
 
 async def test_must_reject_two_vehicles_with_one_id_behind_one_address():
     async with team() as t, rovers_on_udp({1: (9.0, 9.0)}, t.clock, free_udp_port(), boot_s=-900.0) as twins:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         twins[0].send = t.rovers[0].send  # a router, or one radio for both
         await until(lambda: any("two vehicles have system id 1: both at" in text for text in t.texts()))
-        for steer in (t.link.take_over("ada"), t.link.goto("ada", here())):
+        for steer in (t.link.acquire_control("ada"), t.link.goto("ada", here())):
             with pytest.raises(VehicleRefused, match="two vehicles have system id 1"):
                 await steer
         count = len(t.poses())
@@ -162,26 +162,26 @@ async def test_a_vehicle_that_moves_to_another_address_is_followed():
             await until(
                 lambda: t.link._steered[1].vehicle.peer == moved[0].transport.get_extra_info("sockname")
             )
-            await t.link.take_over("ada")
+            await t.link.acquire_control("ada")
             assert moved[0].autopilot.armed
             assert not any("two vehicles" in text for text in t.texts())
 
 
 async def test_must_notice_a_reboot_and_drop_ownership():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         t.rovers[0].autopilot.reboot(t.rovers[0].t_s())
         await until(lambda: "it has rebooted" in t.texts())
         assert t.mode() == "other"
         with pytest.raises(VehicleRefused):
             await t.link.goto("ada", here())
         await until(lambda: t.poses()[-1].t_ns > t.clock.now_ns() - 2e9)  # the new boot clock is understood
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
 
 
 async def test_must_declare_the_link_lost_by_the_autopilots_heartbeat():
     async with team(2) as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         t.rovers[0].silenced = True
         silent_s = t.clock.elapsed_s()
         await until(lambda: not t.states()[-1].link_up)
@@ -211,7 +211,7 @@ async def test_other_heartbeats_are_no_sign_of_life():
 async def test_positions_without_a_fix_are_not_passed_on():
     """Without GPS the autopilot goes on sending fresh-looking dead-reckoned positions."""
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         t.rovers[0].autopilot.lose_gps(True)
         await until(lambda: "EKF failsafe" in t.texts())
         await t.sleep(2.0)
@@ -234,7 +234,7 @@ async def test_a_pose_is_where_the_vehicle_is():
 
 async def test_must_confirm_mode_and_arming_by_the_heartbeat():
     async with team(2) as t:
-        await asyncio.gather(t.link.take_over("ada"), t.link.take_over("bob"))
+        await asyncio.gather(t.link.acquire_control("ada"), t.link.acquire_control("bob"))
         for name, rover in zip(("ada", "bob"), t.rovers, strict=True):
             await until(lambda name=name: t.mode(name) == "guided" and t.states(name)[-1].armed)
             assert rover.autopilot.mode == GUIDED and rover.autopilot.armed
@@ -242,7 +242,7 @@ async def test_must_confirm_mode_and_arming_by_the_heartbeat():
 
 async def test_must_treat_an_ack_as_accepted_and_not_as_done():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         t.rovers[0].autopilot._change_mode = lambda mode: None  # says yes, does nothing
         with pytest.raises(DeviceTimeout, match="did not show mode hold"):
             await t.link.hold("ada")
@@ -250,7 +250,7 @@ async def test_must_treat_an_ack_as_accepted_and_not_as_done():
 
 async def test_must_repeat_a_command_until_it_is_answered():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         lost = iter([True, True, False])
         t.rovers[0].drop_in = lambda data: (
             is_command(data, mavlink.MAV_CMD_DO_REPOSITION) and next(lost, False)
@@ -264,7 +264,7 @@ async def test_must_number_its_attempts():
         lost = iter([True, True, False])
         arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
         t.rovers[0].drop_in = lambda data: is_command(data, arm) and next(lost, False)
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         asked = [m for m in t.sent_to(t.rovers[0], "COMMAND_LONG") if m.command == arm]
         assert [m.confirmation for m in asked] == [0, 1, 2]
         assert {m.param2 for m in asked} == {0.0}, "arming is never forced"
@@ -272,7 +272,7 @@ async def test_must_number_its_attempts():
 
 async def answering(t, *answers):
     """Answer a way-point with (mission seconds to wait, result) for each time it is sent; how often that was."""
-    await t.link.take_over("ada")
+    await t.link.acquire_control("ada")
     rover, command, told = t.rovers[0], mavlink.MAV_CMD_DO_REPOSITION, iter(answers)
 
     def answer(data):
@@ -303,7 +303,7 @@ async def test_must_ask_again_later_what_is_rejected_for_now():
 
 async def test_must_report_a_command_never_answered():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         t.rovers[0].drop_in = lambda data: is_command(data, mavlink.MAV_CMD_DO_REPOSITION)
         with pytest.raises(DeviceTimeout, match="no answer to 10 attempts"):
             await t.link.goto("ada", here())
@@ -311,7 +311,7 @@ async def test_must_report_a_command_never_answered():
 
 async def test_must_not_take_another_stations_ack_for_ours():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         rover = t.rovers[0]
         command = mavlink.MAV_CMD_DO_REPOSITION
         rover.drop_in = lambda data: is_command(data, command)
@@ -336,13 +336,13 @@ async def test_must_pass_on_a_refusal_in_the_vehicles_own_words():
         words = "PreArm: Hardware safety switch, and a reason beyond fifty characters"
         t.rovers[0].autopilot.trouble.prearm = words
         with pytest.raises(VehicleRefused, match=r"arm: FAILED.*reason beyond fifty characters"):
-            await t.link.take_over("ada")
+            await t.link.acquire_control("ada")
         assert not t.rovers[0].autopilot.armed
 
 
 async def test_must_not_broadcast():
     async with team(2) as t:
-        await asyncio.gather(t.link.take_over("ada"), t.link.take_over("bob"))
+        await asyncio.gather(t.link.acquire_control("ada"), t.link.acquire_control("bob"))
         await t.link.goto("ada", here())
         await asyncio.gather(
             t.link.hold("ada"), t.link.hold("bob"), t.link.return_home("bob"), return_exceptions=True
@@ -355,7 +355,7 @@ async def test_must_not_broadcast():
 async def test_must_set_message_rates_again_after_a_reboot():
     async with team() as t:
         rover = t.rovers[0]
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         rover.autopilot.reboot(rover.t_s())
         rover.autopilot._interval_s[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT] = 0.0
         await t.sleep(4.0)
@@ -368,7 +368,7 @@ async def test_must_set_message_rates_again_after_a_reboot():
 
 async def test_must_steer_in_a_global_frame_with_integer_degrees():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.goto("ada", here(east_m=3.0, north_m=4.0))
         message = t.sent_to(t.rovers[0], "COMMAND_INT")[-1]
         lat_deg, lon_deg, _ = FRAME.to_geodetic(3.0, 4.0)
@@ -392,7 +392,7 @@ async def test_must_steer_in_a_global_frame_with_integer_degrees():
 )
 async def test_must_refuse_a_place_that_is_none(change):
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         with pytest.raises(VehicleRefused):
             await t.link.goto("ada", here(**change))
         assert not t.sent_to(t.rovers[0], "COMMAND_INT")
@@ -401,10 +401,10 @@ async def test_must_refuse_a_place_that_is_none(change):
 async def test_must_never_send_latitude_0_longitude_0():
     clock = ScaledClock(RATE)
     from fieldkit.geo import FieldFrame
-    from fieldkit.ports import Surroundings
+    from fieldkit.ports import DriverContext
 
     link = open_link(
-        "udpin:127.0.0.1:1", {"ada": {"system_id": 1}}, Surroundings(clock, FieldFrame(0.0, 0.0))
+        "udpin:127.0.0.1:1", {"ada": {"system_id": 1}}, DriverContext(clock, FieldFrame(0.0, 0.0))
     )
     with pytest.raises(VehicleRefused, match="latitude 0"):
         await link.goto("ada", here(east_m=0.0, north_m=0.0))
@@ -419,7 +419,7 @@ async def test_must_not_steer_what_was_not_taken_over():
 
 async def test_must_lose_ownership_when_someone_else_changes_the_mode():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.goto("ada", here())
         t.rovers[0].autopilot.operator_sets(MANUAL)
         await until(lambda: t.mode() == "other")
@@ -430,7 +430,7 @@ async def test_must_lose_ownership_when_someone_else_changes_the_mode():
 
 async def test_must_confirm_the_target_and_send_it_again():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.goto("ada", here(east_m=5.0, north_m=5.0))
         t.rovers[0].autopilot._aim(473977100, 85456100)  # as if the way-point had been overwritten
         wanted = t.link._steered[1].target
@@ -439,7 +439,7 @@ async def test_must_confirm_the_target_and_send_it_again():
 
 async def test_a_hold_overtakes_a_way_point_that_is_being_repeated():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         t.rovers[0].drop_in = lambda data: is_command(data, mavlink.MAV_CMD_DO_REPOSITION)
         going = asyncio.create_task(t.link.goto("ada", here()))
         await t.sleep(0.5)
@@ -462,7 +462,7 @@ async def test_hold_needs_no_ownership_and_is_repeated_until_seen():
 
 async def test_after_a_hold_of_ours_steering_goes_on():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.hold("ada")
         await until(lambda: t.mode() == "hold")
         await t.link.goto("ada", here())
@@ -471,7 +471,7 @@ async def test_after_a_hold_of_ours_steering_goes_on():
 
 async def test_the_speed_asked_for_is_a_limit():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.goto("ada", here(north_m=30.0, speed_m_s=0.5))
         await until(lambda: t.rovers[0].autopilot.body.speed_m_s > 0.36)
         await t.sleep(2.0)
@@ -481,7 +481,7 @@ async def test_the_speed_asked_for_is_a_limit():
 async def test_four_robots_hold_at_once():
     async with team(4) as t:
         names = t.link.robots
-        await asyncio.gather(*(t.link.take_over(name) for name in names))
+        await asyncio.gather(*(t.link.acquire_control(name) for name in names))
         await asyncio.gather(*(t.link.goto(name, here()) for name in names))
         began_s = t.clock.elapsed_s()
         await asyncio.gather(*(t.link.hold(name) for name in names))
@@ -529,7 +529,7 @@ async def test_a_vehicle_that_is_not_there_is_named():
         t.rovers[0].silenced = True
         await until(lambda: not t.states()[-1].link_up)
         with pytest.raises(DeviceTimeout, match="no heartbeat from system 1"):
-            await t.link.take_over("ada")
+            await t.link.acquire_control("ada")
 
 
 def is_command(data: bytes, command: int) -> bool:
@@ -539,7 +539,7 @@ def is_command(data: bytes, command: int) -> bool:
 async def test_a_hold_that_was_lost_is_sent_again_when_the_link_is_back():
     """Nobody else has it: it still drives to our last way-point, though we have given up on it."""
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.goto("ada", here(north_m=60.0))
         t.rovers[0].silenced = True
         with pytest.raises(DeviceTimeout):
@@ -553,7 +553,7 @@ async def test_a_hold_that_was_lost_is_sent_again_when_the_link_is_back():
 
 async def test_a_standing_hold_is_no_reason_to_stop_somebody_elses_robot():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.hold("ada")
         t.rovers[0].autopilot.operator_sets(MANUAL)
         await t.sleep(5.0)
@@ -576,6 +576,6 @@ async def test_a_second_runner_elsewhere_is_heard_and_refused():
             sock.sendto(Packer(245, 190).pack(beat), ("127.0.0.1", t.port))
         await t.sleep(1.0)
         with pytest.raises(VehicleRefused, match="a second mission"):
-            await t.link.take_over("ada")
+            await t.link.acquire_control("ada")
         assert not t.rovers[0].autopilot.armed
         assert any(check.level == "red" and check.name == "identity" for check in await t.link.inspect("ada"))

@@ -44,14 +44,14 @@ async def test_a_hold_is_on_the_wire_before_anything_is_awaited(busy):
     async with team() as t:
         rover = t.rovers[0]
         if busy in ("goto", "speed"):
-            await t.link.take_over("ada")
+            await t.link.acquire_control("ada")
         rover.drop_in = lambda data: busy != "nothing" and not is_command(data, SET_MODE)
         if busy == "speed":
             rover.drop_in = lambda data: is_command(data, mavlink.MAV_CMD_DO_CHANGE_SPEED)
         work = {
             "goto": lambda: t.link.goto("ada", here()),
             "speed": lambda: t.link.goto("ada", here()),
-            "take over": lambda: t.link.take_over("ada"),
+            "take over": lambda: t.link.acquire_control("ada"),
             "upload": lambda: t.link.upload_fence("ada", SQUARE_M),
             "parameters": lambda: t.link.parameters("ada", ["FS_ACTION"]),
             "nothing": lambda: t.sleep(0.0),
@@ -70,7 +70,7 @@ async def test_a_hold_does_not_wait_for_a_take_over_whose_answers_are_lost():
     async with team() as t:
         rover = t.rovers[0]
         rover.drop_in = lambda data: not is_command(data, SET_MODE)
-        taking = asyncio.create_task(t.link.take_over("ada"))
+        taking = asyncio.create_task(t.link.acquire_control("ada"))
         await until(lambda: rover.autopilot.mode == GUIDED)
         await t.link.hold("ada")
         assert rover.autopilot.mode == HOLD
@@ -84,13 +84,13 @@ async def test_message_rates_are_no_reason_to_wait():
         rate = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
         t.rovers[0].drop_in = lambda data: is_command(data, rate)
         sent = Sent(t.link)
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         assert len(sent.commands(rate)) <= 2 * 7, "asked for, and waited for by nobody"
 
 
 async def test_a_hold_is_repeated_until_the_vehicle_shows_it_and_then_no_more():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         lost = iter([True] * 5)
         t.rovers[0].drop_in = lambda data: is_command(data, SET_MODE) and next(lost, False)
         sent = Sent(t.link)
@@ -105,7 +105,7 @@ async def test_a_hold_is_repeated_until_the_vehicle_shows_it_and_then_no_more():
 async def test_a_hold_whose_waiting_is_cancelled_is_repeated_all_the_same():
     """A second Ctrl-C cancels whoever waits, not the hold."""
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.goto("ada", here(north_m=60.0))
         t.rovers[0].drop_in = lambda data: is_command(data, SET_MODE)
         holding = asyncio.create_task(t.link.hold("ada"))
@@ -118,7 +118,7 @@ async def test_a_hold_whose_waiting_is_cancelled_is_repeated_all_the_same():
 
 async def test_a_newer_way_point_replaces_one_that_is_not_confirmed():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         first = round(t.link._frame.to_geodetic(9.0, 9.0)[0] * 1e7)
         t.rovers[0].drop_in = lambda data: any(getattr(m, "x", None) == first for m in Parser().parse(data))
         older = asyncio.create_task(t.link.goto("ada", here(east_m=9.0, north_m=9.0)))
@@ -131,7 +131,7 @@ async def test_a_newer_way_point_replaces_one_that_is_not_confirmed():
 async def test_an_abandoned_take_over_does_not_undo_the_hold():
     async with team() as t:
         t.rovers[0].drop_in = lambda data: is_command(data, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
-        taking = asyncio.create_task(t.link.take_over("ada"))
+        taking = asyncio.create_task(t.link.acquire_control("ada"))
         await until(lambda: t.rovers[0].autopilot.mode == GUIDED)
         await t.link.hold("ada")
         with pytest.raises(DeviceError):
@@ -146,7 +146,7 @@ async def test_an_abandoned_take_over_does_not_undo_the_hold():
 async def test_a_way_point_carries_no_speed_which_comes_behind_it():
     """ArduRover answers a speed in Guided's stop submode with FAILED and does not set out."""
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         sent = Sent(t.link)
         await t.link.goto("ada", here(north_m=20.0, speed_m_s=0.5))
         (place,) = sent.commands(mavlink.MAV_CMD_DO_REPOSITION)
@@ -160,7 +160,7 @@ async def test_a_way_point_carries_no_speed_which_comes_behind_it():
 
 async def test_a_speed_that_was_lost_is_asked_again():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         lost = iter([True, True])
         speed = mavlink.MAV_CMD_DO_CHANGE_SPEED
         t.rovers[0].drop_in = lambda data: is_command(data, speed) and next(lost, False)
@@ -170,7 +170,7 @@ async def test_a_speed_that_was_lost_is_asked_again():
 
 async def test_a_speed_that_is_refused_is_told():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         t.rovers[0].autopilot._change_speed = lambda _: 4
         with pytest.raises(VehicleRefused, match=r"drive at 0\.4 m/s: FAILED"):
             await t.link.goto("ada", here(speed_m_s=0.5))
@@ -185,14 +185,14 @@ async def test_a_refusal_is_told_without_the_vehicles_chatter():
         autopilot.trouble.prearm = "Compass not calibrated"
         await t.sleep(0.2)
         with pytest.raises(VehicleRefused, match=r"arm: FAILED.*Compass not calibrated") as caught:
-            await t.link.take_over("ada")
+            await t.link.acquire_control("ada")
         assert "u-blox" not in str(caught.value) and "long ago" not in str(caught.value)
 
 
 async def test_why_it_is_not_ours_is_told_and_not_what_it_said_last():
     """A rebooted autopilot talks of its sensors."""
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         rover = t.rovers[0]
         rover.autopilot.reboot(rover.t_s())
         await until(lambda: "it has rebooted" in t.texts())
@@ -242,7 +242,7 @@ async def test_what_drives_is_on_the_ground_whatever_it_calls_its_altitude():
 
 async def test_a_copter_is_sent_nowhere_without_an_altitude():
     async with team(profile=COPTER) as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         sent = Sent(t.link)
         for up_m in (0.0, 0.5, float("nan")):
             with pytest.raises(VehicleRefused):
@@ -260,16 +260,16 @@ async def test_a_copter_does_not_arm_while_its_ground_station_is_silent():
         await until(lambda: t.rovers[0].autopilot._why_not_to_arm() == "GCS failsafe on")
         with pytest.raises(VehicleRefused, match="GCS failsafe on"):
             t.rovers[0].drop_in = lambda data: any(m.get_type() == "HEARTBEAT" for m in Parser().parse(data))
-            await t.link.take_over("ada")
+            await t.link.acquire_control("ada")
         t.rovers[0].drop_in = lambda _: False
         t.beating = True
         await until(lambda: not t.rovers[0].autopilot._why_not_to_arm())
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
 
 
 async def test_a_copter_takes_off_and_a_hold_stops_its_climb():
     async with team(profile=COPTER) as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         climbing = asyncio.create_task(t.link.take_off("ada", 40.0))
         body = t.rovers[0].autopilot.body
         await until(lambda: body.up_m > 2.0)
@@ -284,10 +284,10 @@ async def test_a_copter_takes_off_and_a_hold_stops_its_climb():
 
 async def test_a_copter_that_was_held_goes_on_without_a_second_take_off():
     async with team(profile=COPTER) as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.take_off("ada", 5.0)
         await t.link.hold("ada")
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.take_off("ada", 8.0)
         assert t.rovers[0].autopilot.body.up_m > 7.0
         await t.link.goto("ada", Waypoint(0.0, 4.0, 1.0, 8.0))
@@ -296,7 +296,7 @@ async def test_a_copter_that_was_held_goes_on_without_a_second_take_off():
 
 async def test_what_drives_does_not_take_off():
     async with team() as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         for order in (t.link.take_off("ada", 5.0), t.link.land("ada")):
             with pytest.raises(VehicleRefused, match="does not fly"):
                 await order
@@ -305,7 +305,7 @@ async def test_what_drives_does_not_take_off():
 async def test_px4_is_stopped_and_not_only_told_that_it_holds():
     """It goes to way-points inside its hold mode: asked for that mode alone it drives on."""
     async with team(profile=PX4) as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.goto("ada", here(north_m=60.0))
         body = t.rovers[0].autopilot.body
         await until(lambda: body.speed_m_s > 0.5)
@@ -315,7 +315,7 @@ async def test_px4_is_stopped_and_not_only_told_that_it_holds():
 
 async def test_px4_whose_stop_is_lost_does_not_count_as_held():
     async with team(profile=PX4) as t:
-        await t.link.take_over("ada")
+        await t.link.acquire_control("ada")
         await t.link.goto("ada", here(north_m=60.0))
         body, pause = t.rovers[0].autopilot.body, mavlink.MAV_CMD_DO_REPOSITION
         await until(lambda: body.speed_m_s > 0.5)
@@ -330,7 +330,7 @@ async def test_px4_whose_stop_is_lost_does_not_count_as_held():
 async def test_a_team_holds_while_every_answer_is_lost():
     async with team(4) as t:
         names = t.link.robots
-        await asyncio.gather(*(t.link.take_over(name) for name in names))
+        await asyncio.gather(*(t.link.acquire_control(name) for name in names))
         for rover in t.rovers:
             rover.drop_in = lambda data: not is_command(data, SET_MODE)
         busy = [asyncio.create_task(t.link.goto(name, here())) for name in names[:2]]

@@ -162,12 +162,12 @@ async def test_a_signed_link_hears_and_steers_only_with_the_right_key(tmp_path, 
         open_link(f"udpin:127.0.0.1:{port}", robots, around(time)) as link,
     ):
         if key == KEY:
-            await link.take_over("ada")
+            await link.acquire_control("ada")
             assert rovers[0].autopilot.armed
             assert isinstance(await anext(p async for p in link.events() if isinstance(p, Pose)), Pose)
         else:
             with pytest.raises(DeviceTimeout, match="no heartbeat"):
-                await link.take_over("ada")
+                await link.acquire_control("ada")
             await until(lambda: link._signer.refused > 0)
             await until(lambda: "not signed with this link's key" in caplog.text)
 

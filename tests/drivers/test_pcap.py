@@ -19,7 +19,7 @@ from drivers.sniffers.strength import TAP, WITH_FCS, WITHOUT_FCS, from_status_by
 from fieldkit.clock import RealClock
 from fieldkit.errors import DeviceError
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 T_NS = 1_700_000_000_123_456_000
 PSDU = data_frame(0x1234, b"x", 9, short_address=True)
@@ -122,7 +122,7 @@ def test_tap_headers_are_read_and_unknown_ones_skipped():
 async def collect(port, count=None, **options):
     items = []
     async with open_capture(
-        "ada", {"port": str(port), **options}, Surroundings(RealClock(), FRAME)
+        "ada", {"port": str(port), **options}, DriverContext(RealClock(), FRAME)
     ) as receiver:
         async for item in receiver.readings():
             items.append(item)
@@ -195,7 +195,7 @@ async def test_a_live_pipe_gives_readings_as_they_come(tmp_path):
     writer = os.open(path, os.O_RDWR)
     os.write(writer, pcap([]))
     items = []
-    async with open_capture("ada", {"port": str(path)}, Surroundings(RealClock(), FRAME)) as receiver:
+    async with open_capture("ada", {"port": str(path)}, DriverContext(RealClock(), FRAME)) as receiver:
         os.write(writer, pcap([tap(-60.0)])[24:])
         async for item in receiver.readings():
             items.append(item)

@@ -22,7 +22,7 @@ from fieldkit.channel.model import Antenna
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import ConfigError, DataError
 from fieldkit.geo import FieldFrame
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 from fieldkit.testing import nothing_left
 from fieldkit.world.channel import sample_rss_dbm
 
@@ -109,7 +109,7 @@ def test_a_missing_log_is_named(tmp_path):
     with pytest.raises(DataError, match="no such file"):
         read_track(tmp_path / "gone.csv")
     with pytest.raises(ConfigError, match="no such file"):
-        open_file({"path": str(tmp_path / "gone.csv")}, Surroundings(ScaledClock(1.0), FRAME))
+        open_file({"path": str(tmp_path / "gone.csv")}, DriverContext(ScaledClock(1.0), FRAME))
 
 
 def test_an_instant_without_a_zone_is_utc():
@@ -166,7 +166,7 @@ async def test_a_log_is_played_at_its_own_pace_with_its_own_times(tmp_path):
     frame = FieldFrame(47.3977, 8.5456)
     async with (
         nothing_left(),
-        open_file({"path": str(path), "robot": "ada"}, Surroundings(clock, frame)) as source,
+        open_file({"path": str(path), "robot": "ada"}, DriverContext(clock, frame)) as source,
     ):
         began = clock.elapsed_s()
         poses = [pose async for pose in source.poses()]

@@ -95,7 +95,7 @@ async def test_a_radio_hears_from_where_its_vehicle_is(tmp_path: Path) -> None:
         await until(lambda: len(heard) > 10)
         far_dbm = sum(each.rss_dbm for each in heard[:10]) / 10
         assert far_dbm == pytest.approx(-40.0 - 20.0 * math.log10(40.0), abs=1.5)
-        await link.take_over("ada")
+        await link.acquire_control("ada")
         await link.goto("ada", Waypoint(30.0, 0.0, 1.0))
         await until(lambda: rover.autopilot.body.east_m > 29.0, 30.0)
         count = len(heard)
@@ -108,7 +108,7 @@ async def test_a_radio_whose_vehicle_is_not_heard_hears_nothing(tmp_path: Path) 
     async with rehearsing(tmp_path) as (_, rover, radios, heard):
         await until(lambda: len(heard) > 3)
         rover.silenced = True
-        await until(lambda: radios.whereabouts.of(1) is None)
+        await until(lambda: radios.positions.of(1) is None)
         await asyncio.sleep(0.2)
         count = len(heard)
         await asyncio.sleep(1.0)

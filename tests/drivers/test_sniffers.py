@@ -17,7 +17,7 @@ from drivers.sniffers.ti import PING, TiBinary, command
 from fieldkit.clock import RealClock
 from fieldkit.errors import ConfigError
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 from fieldkit.testing import nothing_left
 
 LINE = b"received: 49a8e69a9c03004802ae00003c0b power: -61 lqi: 120 time: 123456789\r\n"
@@ -146,7 +146,7 @@ async def test_hops_between_channels_and_says_so(tmp_path, make, opener):
     items = []
     options = {"port": radio.wire.port, "channels": [15, 20], "dwell_s": 0.2}
     async with nothing_left():
-        async with opener("ada", options, Surroundings(clock, FRAME)) as receiver:
+        async with opener("ada", options, DriverContext(clock, FRAME)) as receiver:
 
             async def collect():
                 async for item in receiver.readings():
@@ -177,4 +177,4 @@ async def test_hops_between_channels_and_says_so(tmp_path, make, opener):
 )
 def test_impossible_options_are_named(options, words):
     with pytest.raises(ConfigError, match=words):
-        open_nrf("ada", options, Surroundings(RealClock(), FRAME))
+        open_nrf("ada", options, DriverContext(RealClock(), FRAME))

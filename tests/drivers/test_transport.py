@@ -60,7 +60,7 @@ async def test_a_tcp_link_that_ends_is_taken_up_again():
         nothing_left(),
         open_link(f"tcp:127.0.0.1:{vehicle.port}", {"ada": {"system_id": 1}}, around(clock)) as link,
     ):
-        await link.take_over("ada")
+        await link.acquire_control("ada")
         vehicle.hang_up()
         busy_s = time.process_time()
         await asyncio.sleep(0.5)
@@ -92,7 +92,7 @@ async def test_a_serial_link_steers():
     task = asyncio.create_task(live())
     address = f"serial:{os.ttyname(slave)}:57600"
     async with nothing_left(), open_link(address, {"ada": {"system_id": 1}}, around(clock)) as link:
-        await link.take_over("ada")
+        await link.acquire_control("ada")
         assert rover.armed
         await link.hold("ada")
     loop.remove_reader(master)

@@ -14,14 +14,14 @@ from drivers.xbee.receiver import open_receiver
 from fieldkit.clock import RealClock
 from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.geo import FieldFrame
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 from fieldkit.testing import nothing_left
 
 SENDER = 0x0013A20041000001
 
 
 async def open_fails(port, **options) -> str:
-    around = Surroundings(RealClock(), FieldFrame(0.0, 0.0))
+    around = DriverContext(RealClock(), FieldFrame(0.0, 0.0))
     async with nothing_left():
         with pytest.raises(DeviceError) as caught:
             async with open_receiver("ada", {"port": port, **options}, around):
@@ -269,7 +269,7 @@ async def test_a_module_on_the_wrong_channel_is_refused(plug):
 async def test_opening_can_be_cancelled(plug):
     radio = await plug()
     radio.module.dead = True
-    around = Surroundings(RealClock(), FieldFrame(0.0, 0.0))
+    around = DriverContext(RealClock(), FieldFrame(0.0, 0.0))
     async with nothing_left():
         receiver = open_receiver("ada", {"port": radio.wire.port}, around)
         began = time.monotonic()
@@ -291,7 +291,7 @@ async def test_opening_can_be_cancelled(plug):
 )
 def test_impossible_options_are_named(options, words):
     with pytest.raises(ConfigError, match="ada") as caught:
-        open_receiver("ada", options, Surroundings(RealClock(), FieldFrame(0.0, 0.0)))
+        open_receiver("ada", options, DriverContext(RealClock(), FieldFrame(0.0, 0.0)))
     assert words in str(caught.value)
 
 

@@ -88,7 +88,7 @@ def test_two_sources_that_cannot_be_told_apart_yet_are_kept_in_mind() -> None:
         "a planner is sent to see"
     )
     before = belief.probability_left()
-    belief.candidates[0].rival = None
+    belief.candidates[0].two_source = None
     assert belief.probability_left() < before
     for _ in range(8):
         for place, power in sources:

@@ -39,7 +39,7 @@ class Vehicles:
     def beat(self) -> None:
         self.beats += 1
 
-    async def take_over(self, robot: str, *, arm: bool = True) -> None:
+    async def acquire_control(self, robot: str, *, arm: bool = True) -> None:
         self.asked.append((robot, "acquire"))
         if robot in self.refuses:
             raise VehicleRefused(f"{robot}: not ready")

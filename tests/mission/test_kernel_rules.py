@@ -156,7 +156,7 @@ def test_a_robot_whose_radio_is_down_for_longer_than_its_limit_is_left(
     settings: KernelSettings, limit_s: float
 ) -> None:
     for down_s, ours in ((limit_s - 0.1, True), (limit_s + 0.1, False)):
-        field = Driven(replace(settings, deaf_limit_s=limit_s), r1=FAR)
+        field = Driven(replace(settings, receiver_down_limit_s=limit_s), r1=FAR)
         field.kernel.step(ReceiverState(5 * S, "r1", False))
         field.kernel.step(ReceiverState(6 * S, "r1", False))
         assert steered(field, 5 + down_s) == ours

@@ -100,8 +100,8 @@ def test_an_old_or_doubtful_calibration_is_amber(tmp_path: Path) -> None:
     now_ns = ScaledClock(1.0).now_ns()
     assert worst(judge_calibration(mission, now_ns)) == "green"
     assert worst(judge_calibration(mission, now_ns + 100 * 86_400 * 10**9)) == "amber"
-    doubtful = replace(mission, antenna=replace(mission.antenna, verdict="accepted with warnings"))
-    assert worst(judge_calibration(doubtful, now_ns)) == "amber"
+    inconsistent = replace(mission, antenna=replace(mission.antenna, verdict="accepted with warnings"))
+    assert worst(judge_calibration(inconsistent, now_ns)) == "amber"
 
 
 def test_a_missing_radio_is_red_and_the_rest_is_checked_all_the_same(tmp_path: Path) -> None:

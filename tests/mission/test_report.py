@@ -52,11 +52,11 @@ def test_the_page_says_what_was_found_and_fetches_nothing(log: Path, tmp_path: P
 
 
 def test_refined_places_are_where_the_sources_are(log: Path, tmp_path: Path) -> None:
-    story = read_story(log)
+    history = read_story(log)
     for source in write_report(log, tmp_path / "r.html")["refined"]:
         off = min(
             ((source["east_m"] - t["east_m"]) ** 2 + (source["north_m"] - t["north_m"]) ** 2) ** 0.5
-            for t in story.truth
+            for t in history.truth
         )
         assert off < max(0.4, 4.0 * source["sigma_m"])
 
@@ -100,22 +100,22 @@ def test_faults_are_told_once_each_with_how_long_they_lasted(log: Path, tmp_path
         for k in range(3):
             writer.command(number, start + k, Hold(start + k, "r3", "no position"), "safety")
         writer.note("error", "the disk is on fire", start)
-    story = read_story(path)
-    said = [(round(t), who, text) for t, who, text in faults(story)]
+    history = read_story(path)
+    said = [(round(t), who, text) for t, who, text in faults(history)]
     assert (10, "r1", "receiver down for 7 s: unplugged") in said
     assert (10, "r2", "link down to the end") in said
     assert [row for row in said if row[1] == "r3"] == [(10, "r3", "held by safety: no position")]
     assert (10, "", "the disk is on fire") in said
-    assert story.down("r1") == [(10.0, 17.0)]
+    assert history.down("r1") == [(10.0, 17.0)]
     page = tmp_path / "report.html"
     write_report(path, page)
     assert "the disk is on fire" in page.read_text()
 
 
 def test_shares_of_a_robots_time_make_a_whole(log: Path) -> None:
-    story = read_story(log)
-    for each in use(story, stretches(story)):
+    history = read_story(log)
+    for each in use(history, stretches(history)):
         assert each.on_ridge + each.off_ridge + each.held == pytest.approx(1.0, abs=1e-6)
         assert each.distance_m > 0.0
     readings = [e for _, _, e in open_recording(log).events() if isinstance(e, RssReading)]
-    assert sum(story.readings.values()) == len(readings)
+    assert sum(history.readings.values()) == len(readings)

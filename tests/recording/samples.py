@@ -95,7 +95,7 @@ others = st.one_of(
         numbers,
         numbers,
         numbers,
-        st.sampled_from(["candidate", "found", "doubtful"]),
+        st.sampled_from(["candidate", "found", "inconsistent"]),
         texts,
         numbers,
     ),

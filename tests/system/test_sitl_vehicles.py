@@ -105,7 +105,7 @@ async def ready(link: MavlinkLink, name: str, clock: RealClock) -> None:
     """Ours and armed; a simulator takes its time until it would arm."""
     for _ in range(60):
         try:
-            await link.take_over(name)
+            await link.acquire_control(name)
             return
         except (VehicleRefused, DeviceTimeout):
             link.beat()

@@ -128,11 +128,11 @@ import asyncio
 from fieldkit import plugins
 from fieldkit.clock import VirtualClock
 from fieldkit.geo import FieldFrame
-from fieldkit.ports import Receiver, Surroundings
+from fieldkit.ports import Receiver, DriverContext
 
 async def listen():
     radio = plugins.load("fieldkit.receivers", "treasure")(
-        "r1", {"rss_dbm": -61.0}, Surroundings(VirtualClock(), FieldFrame(47.0, 8.0))
+        "r1", {"rss_dbm": -61.0}, DriverContext(VirtualClock(), FieldFrame(47.0, 8.0))
     )
     assert isinstance(radio, Receiver)
     async with radio:

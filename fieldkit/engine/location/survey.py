@@ -185,9 +185,9 @@ def _judged(
         rate_hz=source.rate_hz or group.size / listening_s,
         p_exists=1.0 - float(np.exp(-group.size)),
         p_here=here,
-        state=("found" if explained else "doubtful")
+        state=("found" if explained else "inconsistent")
         if placed
-        else ("candidate" if explained else "doubtful"),
+        else ("candidate" if explained else "inconsistent"),
         note="; ".join(notes),
         power_db=located.power_db,
     )

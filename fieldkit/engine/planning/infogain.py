@@ -26,7 +26,7 @@ from fieldkit.engine.planning.base import (
     track,
     waypoints,
 )
-from fieldkit.engine.planning.reward import STEP_S, Ledger
+from fieldkit.engine.planning.reward import STEP_S, Reward
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
@@ -78,35 +78,35 @@ class InfoGainPlanner(Planner):
         """Paths for all teams of the situation. Raises `ConfigError` for a belief that is not informative."""
         informed = informative(belief, "infogain")
         horizon_s = max(HORIZON_S, 1.5 * self.settings.planning_period_s)
-        ledger = self._ledger(informed, situation.removed)
+        reward = self._reward(informed, situation.removed)
         for team, busy in situation.busy.items():
             if all(robot in situation.position_m for robot in team):
-                ledger.take(self._underway(team, busy, situation, horizon_s))
+                reward.take(self._underway(team, busy, situation, horizon_s))
         paths: dict[str, tuple[Waypoint, ...]] = {}
         purpose: dict[str, str] = {}
         for team in situation.teams:
             start = np.array([situation.position_m[robot] for robot in team])
-            options = self._options(situation, team, start, ledger, horizon_s)
-            worth = ledger.worth(options.tracks_m)
+            options = self._options(situation, team, start, reward, horizon_s)
+            worth = reward.worth(options.tracks_m)
             best = int(np.argmax(worth)) if worth.size else -1
             if (
                 best < 0 or worth[best] == -np.inf
             ):  # boxed in by the others, or no battery left for any path: stay
                 for robot in team:
                     paths[robot], purpose[robot] = (), "wait"
-                ledger.take(standing(start, horizon_s))
+                reward.take(standing(start, horizon_s))
                 continue
             places = options.places_m[best, : options.legs[best]]
-            ledger.take(options.tracks_m[best])
+            reward.take(options.tracks_m[best])
             self._last[team] = [tuple(place.mean(axis=0)) for place in places]
             for robot, path in zip(team, waypoints(places, start, self.settings.max_speed_m_s), strict=True):
                 paths[robot], purpose[robot] = path, options.purpose[best]
         return Plan(situation.t_ns, paths, purpose)
 
-    def _ledger(self, belief: InformativeBelief, removed: frozenset[int]) -> Ledger:
+    def _reward(self, belief: InformativeBelief, removed: frozenset[int]) -> Reward:
         value = blocks_summed(GROUND_VALUE * belief.ground_value(), self._block)
         unresolved = [each for each in belief.unresolved(SAMPLES, self._rng) if each.ident not in removed]
-        return Ledger(self.settings, belief.model, value, self._block * self.grid.cell_m, unresolved)
+        return Reward(self.settings, belief.model, value, self._block * self.grid.cell_m, unresolved)
 
     def _underway(
         self, team: tuple[str, ...], plan: Plan, situation: Situation, horizon_s: float
@@ -132,7 +132,7 @@ class InfoGainPlanner(Planner):
         situation: Situation,
         team: tuple[str, ...],
         start: FloatArray,
-        ledger: Ledger,
+        reward: Reward,
         horizon_s: float,
     ) -> _Options:
         """Paths within fence, battery and keep-out; they may still meet other teams' ways."""
@@ -140,14 +140,14 @@ class InfoGainPlanner(Planner):
         typical_m = float(np.median(ranges))
         spacings = [max(self.settings.min_separation_m, factor * typical_m) for factor in SPACINGS]
         centre = (float(start[:, 0].mean()), float(start[:, 1].mean()))
-        ways = self._over_ground(ledger, centre, typical_m, self.settings.max_speed_m_s * horizon_s)
+        ways = self._over_ground(reward, centre, typical_m, self.settings.max_speed_m_s * horizon_s)
         spacing = [spacings[index % len(spacings)] for index in range(len(ways))]
         purpose = ["search"] * len(ways)
         if self._last.get(team):
             ways.append(self._last[team])
             purpose.append("search")
         nearest = sorted(
-            ledger.unresolved, key=lambda u: float(np.hypot(*(u.points_m.mean(axis=0) - centre)))
+            reward.unresolved, key=lambda u: float(np.hypot(*(u.points_m.mean(axis=0) - centre)))
         )
         for candidate in nearest[:MAX_CANDIDATES]:
             ways += self._around(candidate, centre, typical_m)
@@ -156,10 +156,10 @@ class InfoGainPlanner(Planner):
         return self._driven(situation, team, start, horizon_s, ways, np.array(spacing), purpose)
 
     def _over_ground(
-        self, ledger: Ledger, centre: Place, typical_m: float, length_m: float
+        self, reward: Reward, centre: Place, typical_m: float, length_m: float
     ) -> list[list[Place]]:
         """Corners of ways over ground worth searching: across the field, and every other one nearby."""
-        pick = self._picker(ledger.left())
+        pick = self._picker(reward.left())
         ways = []
         for index in range(GROUND_PATHS):
             way: list[Place] = []

@@ -33,10 +33,10 @@ DOUBTFUL_VALUE = 0.3
 """Of readings that the model does not explain: more of them seldom help."""
 
 
-class Ledger:
+class Reward:
     """What is to be gained, what the teams planned so far take of it, and what a further path would add.
 
-    All tracks (steps, m, 2) of one ledger have as many steps.
+    All tracks (steps, m, 2) of one reward have as many steps.
     """
 
     def __init__(
@@ -153,5 +153,5 @@ class Ledger:
         if only_place:
             worth = SETTLE_VALUE * (1.0 - candidate.p_here)
         else:
-            worth = DOUBTFUL_VALUE if candidate.state == "doubtful" else 1.0
+            worth = DOUBTFUL_VALUE if candidate.state == "inconsistent" else 1.0
         return np.asarray(worth * (RESOLVE_VALUE * done + RECEPTION_VALUE * received))

@@ -138,7 +138,7 @@ def trial(job: Job) -> dict[str, Any]:
         "finds": len(found),
         "covered": _covered(result.kernel, louder),
         "left": sum(not _near(source, found) for source in louder),
-        "doubtful": sum(s.state == "doubtful" for s in result.kernel.sources()),
+        "inconsistent": sum(s.state == "inconsistent" for s in result.kernel.sources()),
         "detections": result.kernel.detections,
     }
 
@@ -171,7 +171,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "false_finds": sum(row["false_finds"] for row in rows) / len(rows),
         "coverage_90": sum(row["covered"] for row in rows) / finds if finds else None,
         "missions_with_a_source_left": sum(row["left"] > 0 for row in rows) / len(rows),
-        "doubtful": sum(row["doubtful"] for row in rows) / len(rows),
+        "inconsistent": sum(row["inconsistent"] for row in rows) / len(rows),
     }
 
 

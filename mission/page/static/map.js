@@ -84,7 +84,7 @@ function fit() {
 
 function colours() {
   const style = getComputedStyle(document.documentElement);
-  const names = ["line", "text", "dim", "faint", "bad", "warn", "good", "accent", "found", "candidate", "doubtful", "map"];
+  const names = ["line", "text", "dim", "faint", "bad", "warn", "good", "accent", "found", "candidate", "inconsistent", "map"];
   css = Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 colours();
@@ -188,7 +188,7 @@ function drawTracks(frame) {
 
 function drawSources(frame) {
   for (const source of frame.sources) {
-    const colour = css[source.state] ?? css.doubtful;
+    const colour = css[source.state] ?? css.inconsistent;
     const x = X(source.east_m);
     const y = Y(source.north_m);
     const [a, b] = source.half_axes_m;
@@ -207,7 +207,7 @@ function drawSources(frame) {
     pen.strokeStyle = colour; pen.lineWidth = 2.5; cross(x, y, is.removed); pen.stroke();
     const right = x > view.width - 70; // near the edge words go to the other side
     pen.textAlign = right ? "right" : "left"; pen.textBaseline = "bottom";
-    const words = is.removed ? "removed" : source.state === "doubtful" ? "?" : `${Math.round(100 * source.p)} %`;
+    const words = is.removed ? "removed" : source.state === "inconsistent" ? "?" : `${Math.round(100 * source.p)} %`;
     halo(`${source.ident}  ${words}`, x + (right ? -9 : 9), y - 5, colour, "700 12px system-ui");
   }
 }

@@ -110,7 +110,7 @@ function makeSource(ident) {
 
 function sources(frame) {
   const box = $("sources").querySelector(".rows");
-  const rank = { found: 0, candidate: 1, doubtful: 2, removed: 3 };
+  const rank = { found: 0, candidate: 1, inconsistent: 2, removed: 3 };
   const shown = [...frame.sources].sort((a, b) => rank[a.state] - rank[b.state] || b.p - a.p).slice(0, 30);
   const now = new Set(shown.map((source) => source.ident));
   for (const [ident, part] of made.sources) if (!now.has(ident)) { part.row.remove(); made.sources.delete(ident); }
@@ -168,7 +168,7 @@ export function fill() {
   shown = marks;
   set($("clock"), clock(frame.t_s));
   set($("found"), String(frame.sources.filter((s) => s.state === "found" || s.state === "removed").length));
-  set($("candidates"), String(frame.sources.filter((s) => s.state === "candidate" || s.state === "doubtful").length));
+  set($("candidates"), String(frame.sources.filter((s) => s.state === "candidate" || s.state === "inconsistent").length));
   set($("detections"), String(frame.detections));
   set($("left"), `${Math.round(100 * frame.left)} %`);
 }

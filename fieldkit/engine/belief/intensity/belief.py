@@ -1,6 +1,6 @@
 """The default belief: transmissions as a spatial Poisson process, silence as exposure, sources as a mixture.
 
-The mixture decides who sent what; this file decides what may be said of it: candidate, found, doubtful.
+The mixture decides who sent what; this file decides what may be said of it: candidate, found, inconsistent.
 
 Ground where the team listened and heard nothing is known to be emptier: a source that sends at a Gamma(a, b) rate
 is still there, unheard after exposure E, with weight (b / (b + E))^a.
@@ -65,19 +65,19 @@ class IntensityBelief:
         self.reflect()
 
     def detect_all(self, detections: Sequence[Detection]) -> None:
-        """Take in several with one look at who sent what; stories are told by `reflect`."""
+        """Take in several with one look at who sent what; hypotheses are told by `reflect`."""
         self.mixture.detect(detections)
         self._judge()
 
     def reflect(self) -> bool:
-        """Tell the story of a candidate afresh where that is due; whether another story was better."""
+        """Tell the hypothesis of a candidate afresh where that is due; whether another hypothesis was better."""
         changed = self.mixture.reflect()
         if changed is not None:
             self._judge()
         return changed is not None
 
     def _judge(self) -> None:
-        """Candidate, found or doubtful; a find that later evidence takes back says why."""
+        """Candidate, found or inconsistent; a find that later evidence takes back says why."""
         threshold = self.settings.found_probability
         for candidate in self.candidates:
             summary = self.mixture.summary(candidate)
@@ -92,18 +92,18 @@ class IntensityBelief:
             if candidate.state == "candidate" and self._fresh_evidence(candidate):
                 continue
             doubt = self._doubt(candidate, summary)
-            candidate.state = "doubtful" if doubt else "found"
+            candidate.state = "inconsistent" if doubt else "found"
             candidate.note = doubt or self._may_be_two(candidate)
 
     def _may_be_two(self, candidate: Candidate) -> str:
         """What to know of a find that is as well explained as two sources; empty for others."""
-        rival = candidate.rival
-        if rival is None or rival.probability < 0.1:
+        two_source = candidate.two_source
+        if two_source is None or two_source.probability < 0.1:
             return ""
-        (east, north), (east2, north2) = rival.places_m
+        (east, north), (east2, north2) = two_source.places_m
         return (
             f"may be two sources, at {east:.1f}, {north:.1f} m and {east2:.1f}, {north2:.1f} m, "
-            f"with probability {rival.probability:.2f}"
+            f"with probability {two_source.probability:.2f}"
         )
 
     def _fresh_evidence(self, candidate: Candidate) -> bool:
@@ -232,8 +232,8 @@ class IntensityBelief:
         for candidate in self.candidates:
             if candidate.state != "found":
                 none_left *= 1.0 - min(1.0, candidate.receptions)
-            elif candidate.rival is not None:
-                none_left *= 1.0 - candidate.rival.probability
+            elif candidate.two_source is not None:
+                none_left *= 1.0 - candidate.two_source.probability
         return float(1.0 - none_left)
 
     # -- for planners ------------------------------------------------------------------------------------
@@ -250,20 +250,22 @@ class IntensityBelief:
         """
         result = []
         for candidate in self.candidates:
-            rival = candidate.rival if candidate.rival is not None and candidate.rival.undecided else None
+            two_source = candidate.two_source
+            if two_source is not None and not two_source.undecided:
+                two_source = None
             summary = self.mixture.summary(candidate)
-            if candidate.state == "found" and rival is None and summary.p_here >= SETTLED:
+            if candidate.state == "found" and two_source is None and summary.p_here >= SETTLED:
                 continue
             posterior = candidate.posterior()
             picks = rng.choice(posterior.size, size=samples, p=posterior.ravel() / posterior.sum())
             hypothesis, point = np.divmod(picks, posterior.shape[1])
             level = np.where(hypothesis < self.model.power_db.size, hypothesis, self.model.n_known // 2)
             places, cov = candidate.points_m[point].copy(), summary.cov_m2
-            if rival is not None:
-                two = round(samples * rival.probability)
-                places[:two] = rival.places_m[np.arange(two) % 2]
-                apart = rival.places_m[1] - rival.places_m[0]
-                cov = cov + rival.probability * np.outer(apart, apart) / 4.0
+            if two_source is not None:
+                two = round(samples * two_source.probability)
+                places[:two] = two_source.places_m[np.arange(two) % 2]
+                apart = two_source.places_m[1] - two_source.places_m[0]
+                cov = cov + two_source.probability * np.outer(apart, apart) / 4.0
             result.append(
                 Unresolved(
                     candidate.ident,
@@ -274,7 +276,7 @@ class IntensityBelief:
                     candidate.receptions,
                     summary.p_here,
                     candidate.state,
-                    rival is not None,
+                    two_source is not None,
                 )
             )
         return result
@@ -283,8 +285,10 @@ class IntensityBelief:
         """SHA-256 over exposure and every candidate's cloud, evidence and shares."""
         state = hashlib.sha256(self.exposure_s.tobytes())
         for candidate in self.candidates:
-            rival = candidate.rival.probability if candidate.rival is not None else 0.0
-            state.update(f"{candidate.ident} {candidate.state} {candidate.absorbed!r} {rival!r}".encode())
+            two_source = candidate.two_source.probability if candidate.two_source is not None else 0.0
+            state.update(
+                f"{candidate.ident} {candidate.state} {candidate.absorbed!r} {two_source!r}".encode()
+            )
             state.update(candidate.points_m.tobytes())
             state.update(candidate.evidence.tobytes())
             state.update(repr(sorted(candidate.share.items())).encode())

@@ -39,8 +39,8 @@ def log_sum(logs: FloatArray) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rival:
-    """The story that a candidate is two sources, while it cannot be told from that of one."""
+class TwoSource:
+    """The hypothesis that a candidate is two sources, while it cannot be told from that of one."""
 
     probability: float
     places_m: FloatArray
@@ -81,7 +81,7 @@ class Candidate:
     """log P(it sent none of those): what its existence rests on does not go with them."""
     certain_since: float | None = None
     """Receptions when its place first became certain enough, since it last was not."""
-    rival: Rival | None = None
+    two_source: TwoSource | None = None
     state: str = "candidate"
     note: str = ""
 
@@ -126,7 +126,7 @@ class Candidate:
         return np.asarray(weights / weights.sum())
 
     def log_evidence(self) -> float:
-        """log of the expected number of such sources times the probability of all they sent: for comparing stories."""
+        """log of the expected number of such sources times the probability of all they sent: compares hypotheses."""
         n = self.receptions
         rate = RATE_SHAPE * np.log(self.rate_prior_s) + gammaln(RATE_SHAPE + n) - gammaln(RATE_SHAPE)
         return log_sum(self.log_posterior()) + float(rate)
@@ -232,7 +232,7 @@ def summarise(
 def merged_gain(first: Candidate, second: Candidate) -> float:
     """log evidence of `first` having sent all that both sent, over two sources having sent it.
 
-    Where shares are divided, the two-source story is credited with their entropy (the variational bound).
+    Where shares are divided, the two-source hypothesis is credited with their entropy (the variational bound).
 
     -inf where `first` has not got the other's detections at hand.
     """

@@ -1,4 +1,4 @@
-"""Telling the story of a candidate afresh, as one source and as two, and keeping the story with more evidence.
+"""Estimating a candidate afresh, as one source and as two, and keeping the hypothesis with more evidence.
 
 Points dropped early and shares that vouch for each other can hold a candidate in a wrong place, or hold two near
 sources together: sweeps alone do not get out of that.
@@ -11,8 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldkit.engine.belief.intensity import loops
-from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Rival
-from fieldkit.engine.belief.intensity.responsibilities import entries_that_count, known_shares, take_over
+from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, TwoSource
+from fieldkit.engine.belief.intensity.responsibilities import (
+    acquire_control,
+    entries_that_count,
+    known_shares,
+)
 from fieldkit.engine.likelihood.places import redundancy
 from fieldkit.messages import FloatArray
 
@@ -20,9 +24,9 @@ if TYPE_CHECKING:
     from fieldkit.engine.belief.intensity.mixture import Mixture
 
 FIRST = 5.0
-"""Receptions at which a candidate's story is first told afresh; then at every 1.4 times as many."""
+"""Receptions at which a candidate's hypothesis is first told afresh; then at every 1.4 times as many."""
 UNDECIDED_NATS = -3.0
-"""Evidence of the best story of two over that of one from which on somebody has to go and see."""
+"""Evidence of the best hypothesis of two over that of one from which on somebody has to go and see."""
 CLEAR_NATS = -10.0
 """The same from which on it need not be looked at again until there are twice as many receptions."""
 PLACE_ROUNDS = 6
@@ -32,16 +36,16 @@ TOLD_DETECTIONS = 30
 TOLD_CELLS = 12
 """No source is sought further than this from where a candidate is."""
 BETTER_NATS = 1.0
-"""Evidence by which another story must be better."""
+"""Evidence by which another hypothesis must be better."""
 
 
 def revise(mixture: "Mixture") -> bool | None:
-    """Tell the story of a candidate afresh, as one source and as two; whether another story was better.
+    """Re-estimate a candidate, as one source and as two; whether another hypothesis was better.
 
-    One candidate a call, None where no story is due. Points dropped early and shares that vouch for each other can
-    hold a candidate in a wrong place, or hold two near sources together. A doubtful candidate is looked at again soon,
-    others ever more rarely. One and two are compared on a point a cell; the better story is then told on the usual
-    points.
+    One candidate a call, None where no hypothesis is due. Points dropped early and shares that vouch for each other can
+    hold a candidate in a wrong place, or hold two near sources together. An inconsistent candidate is looked at again
+    soon, others ever more rarely. One and two are compared on a point a cell; the better one is then
+    estimated on the usual points.
     """
     for candidate in mixture.candidates:
         due = mixture.revise_at.setdefault(candidate.ident, FIRST)
@@ -51,7 +55,7 @@ def revise(mixture: "Mixture") -> bool | None:
 
 
 def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
-    count, doubtful = candidate.receptions, candidate.state == "doubtful"
+    count, inconsistent = candidate.receptions, candidate.state == "inconsistent"
     whole = _told(candidate)
     share = _worth(mixture, whole)
     blank = _fresh(mixture, candidate, share, spacing=1.0)
@@ -61,17 +65,17 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     scores = [_score(pair, share) for pair in pairs]
     odds_nats = max(scores, default=-np.inf) - _score([single], share)
     undecided = odds_nats > UNDECIDED_NATS
-    candidate.rival = None
+    candidate.two_source = None
     if pairs:
         places = np.array([_mean(part) for part in pairs[int(np.argmax(scores))]])
-        candidate.rival = Rival(float(1.0 / (1.0 + np.exp(-odds_nats))), places, undecided)
-    mixture.revise_at[candidate.ident] = _next_look(count, odds_nats, doubtful)
+        candidate.two_source = TwoSource(float(1.0 / (1.0 + np.exp(-odds_nats))), places, undecided)
+    mixture.revise_at[candidate.ident] = _next_look(count, odds_nats, inconsistent)
     if odds_nats > BETTER_NATS:
         best = pairs[int(np.argmax(scores))]
         parts = [_retold(mixture, candidate, _undone(part.share, share, whole)) for part in best]
     else:
         moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.grid.cell_m
-        if not (moved or doubtful):
+        if not (moved or inconsistent):
             return False
         parts = [_retold(mixture, candidate, whole)]
         if _score(parts, whole) < _score([candidate], whole) + BETTER_NATS:
@@ -95,11 +99,11 @@ def _undone(part: dict[int, float], worth: dict[int, float], whole: dict[int, fl
     return {number: share * whole[number] / worth[number] for number, share in part.items()}
 
 
-def _next_look(count: float, odds_nats: float, doubtful: bool) -> float:
+def _next_look(count: float, odds_nats: float, inconsistent: bool) -> float:
     """Receptions at which to look again: soon where two are as likely as one, late where they are not at all."""
     if odds_nats > UNDECIDED_NATS:
         return count + 1.9
-    if doubtful:
+    if inconsistent:
         return max(count + 0.9, 1.1 * count)
     if odds_nats >= CLEAR_NATS:
         return 1.4 * count
@@ -107,7 +111,7 @@ def _next_look(count: float, odds_nats: float, doubtful: bool) -> float:
 
 
 def _told(candidate: Candidate) -> dict[int, float]:
-    """The detections of which a story is told, with their shares: of very many some, evenly over time."""
+    """The detections of which a hypothesis is told, with their shares: of very many some, evenly over time."""
     claimed = [(number, share) for number, share in candidate.share.items() if share > 0.05]
     return dict(claimed[:: -(-len(claimed) // TOLD_DETECTIONS) or 1])
 
@@ -167,14 +171,14 @@ def _two(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> list[
         alone.append((weight / weight.sum()) @ blank.points_m)
     spread = np.array(alone) - np.mean(alone, axis=0)
     axis = np.linalg.svd(spread, full_matrices=False)[2][0]
-    stories = []
+    hypotheses = []
     for turn_rad in (0.0, np.pi / 3, -np.pi / 3):
         cos, sin = np.cos(turn_rad), np.sin(turn_rad)
         along = spread @ np.array([cos * axis[0] - sin * axis[1], sin * axis[0] + cos * axis[1]])
         order = np.argsort(np.argsort(along, kind="stable"), kind="stable")
-        stories.append(_divide(mixture, blank, share, order * 2 < len(share)))
-    stories.append(_divide(mixture, blank, share, _best_two_places(mixture, blank, share)))
-    return [pair for pair in stories if min(part.receptions for part in pair) >= 1.0]
+        hypotheses.append(_divide(mixture, blank, share, order * 2 < len(share)))
+    hypotheses.append(_divide(mixture, blank, share, _best_two_places(mixture, blank, share)))
+    return [pair for pair in hypotheses if min(part.receptions for part in pair) >= 1.0]
 
 
 def _best_two_places(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> NDArray[np.bool_]:
@@ -227,16 +231,16 @@ def _divide(
             np.empty(whole.size),
             np.empty(whole.size),
         )
-        take_over(pair, numbers, before, parts)
+        acquire_control(pair, numbers, before, parts)
         if np.abs(parts - before).sum() < 0.05:
             break
     return pair
 
 
-def _score(story: list[Candidate], share: dict[int, float]) -> float:
-    """Lower bound of the log evidence of a story that shares out the same detections."""
-    total = math.fsum(candidate.log_evidence() for candidate in story)
+def _score(hypothesis: list[Candidate], share: dict[int, float]) -> float:
+    """Lower bound of the log evidence of a hypothesis that shares out the same detections."""
+    total = math.fsum(candidate.log_evidence() for candidate in hypothesis)
     for number, part in share.items():
-        parts = np.array([candidate.share.get(number, 0.0) for candidate in story]) / part
+        parts = np.array([candidate.share.get(number, 0.0) for candidate in hypothesis]) / part
         total -= part * float((parts * np.log(np.maximum(parts, 1e-12))).sum())
     return total

@@ -3,7 +3,7 @@
 Shares are set by what the *other* detections of a candidate predict (collapsed variational mixture, zeroth order),
 so that a reading does not vouch for itself. One more candidate is born where one more source would explain the
 detections better than those there are; two become one where one explains better what both sent; one that nothing
-supports any more is dropped. `stories` re-tells the history of a candidate that may be stuck.
+supports any more is dropped. `hypotheses` re-tells the history of a candidate that may be stuck.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldkit.engine.belief.intensity import hypotheses as stories
+from fieldkit.engine.belief.intensity import hypotheses as hypotheses
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Summary, merged_gain, summarise
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
@@ -88,7 +88,7 @@ class Mixture:
         self.explained: dict[int, float] = {}
         """Detection to the log of the intensity with which clutter and the candidates explain it."""
         self.revise_at: dict[int, float] = {}
-        """Candidate to the receptions at which its story is next told afresh."""
+        """Candidate to the receptions at which its hypothesis is next told afresh."""
         self._next_detection = 0
         self._next_ident = 1
         self._summaries: dict[int, Summary] = {}
@@ -124,8 +124,8 @@ class Mixture:
         self._fold()
 
     def reflect(self) -> bool | None:
-        """Tell the story of one candidate afresh; whether another was better, None where none was due."""
-        better = stories.revise(self)
+        """Tell the hypothesis of one candidate afresh; whether another was better, None where none was due."""
+        better = hypotheses.revise(self)
         if better:
             self.sweep(SWEEPS)
             self._settle()

@@ -67,7 +67,7 @@ def share_out(
             left.unclaimed,
             left.explained,
         )
-        share = take_over(candidates, numbers, before, share)
+        share = acquire_control(candidates, numbers, before, share)
 
 
 def known_shares(candidates: list[Candidate], numbers: list[int]) -> tuple[NDArray[np.int64], FloatArray]:
@@ -96,7 +96,7 @@ def entries_that_count(
     return np.concatenate(active), start, np.concatenate(post), np.concatenate(log_exposure)
 
 
-def take_over(
+def acquire_control(
     candidates: list[Candidate], numbers: list[int], before: FloatArray, share: FloatArray
 ) -> FloatArray:
     """Have the candidates claim `share` (k, c) where it has moved; (k, c) as they claim now."""

@@ -6,13 +6,13 @@ from typing import Any, Self
 
 from fieldkit.errors import ConfigError
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Receiver, Surroundings
+from fieldkit.ports import DriverContext, Receiver
 
 
 class Regular:
     """See the module. Options: `rss_dbm`."""
 
-    def __init__(self, robot: str, rss_dbm: float, around: Surroundings) -> None:
+    def __init__(self, robot: str, rss_dbm: float, around: DriverContext) -> None:
         self.robot = robot
         self._rss_dbm = rss_dbm
         self._clock = around.clock
@@ -34,7 +34,7 @@ class Regular:
             yield RssReading(self._clock.now_ns(), self.robot, self._rss_dbm)
 
 
-def open_receiver(robot: str, options: Mapping[str, Any], around: Surroundings) -> Receiver:
+def open_receiver(robot: str, options: Mapping[str, Any], around: DriverContext) -> Receiver:
     """What the entry point names. Raises `ConfigError` for a strength that no radio reports."""
     rss_dbm = float(options.get("rss_dbm", -50.0))
     if not -130.0 <= rss_dbm <= 20.0:

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 Item = TypeVar("Item")
 
 
-class Handover(Generic[Item]):
+class BoundedQueue(Generic[Item]):
     """A queue with one consumer in the loop and producers in any thread.
 
     `put` never blocks: a reader thread that waits loses bytes in the kernel, where nobody counts them. What

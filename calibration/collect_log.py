@@ -16,7 +16,7 @@ KIND = "calibration"
 _PLACE, _REMOVED = "place ", "removed the last place"
 
 
-class Journal:
+class CollectLog:
     """Writes to an open recording."""
 
     def __init__(self, writer: RecordingWriter) -> None:

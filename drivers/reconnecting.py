@@ -11,10 +11,10 @@ from functools import partial
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.handover import Handover
+from drivers.bounded_queue import BoundedQueue
 from fieldkit.errors import DeviceError
 from fieldkit.messages import ReceiverState, RssReading
-from fieldkit.ports import Surroundings
+from fieldkit.ports import DriverContext
 
 logger = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ class KeptReceiver(ABC):
     `_on_lost` when the device is gone. `_name` names the device in errors.
     """
 
-    def __init__(self, robot: str, name: str, around: Surroundings) -> None:
+    def __init__(self, robot: str, name: str, around: DriverContext) -> None:
         self.robot = robot
         self._name = name
         self._clock = around.clock
@@ -53,7 +53,7 @@ class KeptReceiver(ABC):
 
     async def __aenter__(self) -> Self:
         self._loop = asyncio.get_running_loop()
-        self._handover: Handover[RssReading | ReceiverState] = Handover()
+        self._handover: BoundedQueue[RssReading | ReceiverState] = BoundedQueue()
         self._lost = asyncio.Event()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"receiver-{self.robot}")
         try:

@@ -15,7 +15,7 @@ from fieldkit import plugins
 from fieldkit.channel.model import MIN_RANGE_M
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Pose, VehicleState
-from fieldkit.ports import PositionSource, Surroundings, VehicleLink
+from fieldkit.ports import DriverContext, PositionSource, VehicleLink
 
 MOVED_M = 0.3
 """A receiver that moved farther than this while listening was not at one place."""
@@ -31,7 +31,7 @@ class Spot:
 
 
 @dataclass(slots=True)
-class Whereabouts:
+class PositionFeed:
     """Poses of one robot as they come. Use `following()`."""
 
     robot: str
@@ -92,7 +92,7 @@ class Whereabouts:
 
 
 def by_telemetry(
-    driver: str, address: str, robot: str, options: Mapping[str, Any], around: Surroundings
+    driver: str, address: str, robot: str, options: Mapping[str, Any], around: DriverContext
 ) -> VehicleLink:
     """A vehicle's link, not opened yet, by its name in `fieldkit.vehicles`."""
     link: VehicleLink = plugins.load("fieldkit.vehicles", driver)(address, {robot: dict(options)}, around)
@@ -100,7 +100,7 @@ def by_telemetry(
 
 
 def by_position_source(
-    name: str, address: str, robot: str, options: Mapping[str, Any], around: Surroundings
+    name: str, address: str, robot: str, options: Mapping[str, Any], around: DriverContext
 ) -> PositionSource:
     """A source of positions such as a camera, by its name in `fieldkit.positions`; made as a vehicle's link is.
 
