@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fieldkit import jumploop
-from mission.lab.study import faults
+from mission.lab.study import fault_judge, faults
 from mission.lab.study.faults import KINDS, LARGE, SMALL, Fault, Job, draw_faults, summary, trial
 from mission.safety.rules import SafetySettings
 
@@ -51,9 +51,9 @@ def test_the_judge_sees_a_vehicle_that_goes_on(monkeypatch: pytest.MonkeyPatch) 
 def test_the_judge_sees_two_ways_that_meet() -> None:
     place = {"a": np.array([0.0, 0.0]), "b": np.array([4.0, 0.0])}
     heading = {"a": (np.array([4.0, 0.0]), 0.4), "b": (np.array([0.0, 0.0]), 0.4)}
-    assert faults._would_meet("a", "b", place, heading, 0.25)
+    assert fault_judge._would_meet("a", "b", place, heading, 0.25)
     heading["b"] = (np.array([4.0, 4.0]), 0.4)
-    assert not faults._would_meet("a", "b", place, heading, 0.25)
+    assert not fault_judge._would_meet("a", "b", place, heading, 0.25)
 
 
 def test_only_a_short_loss_of_position_under_our_own_hold_needs_no_resume() -> None:
