@@ -194,14 +194,14 @@ class Associator:
         rss = np.array([group.readings[n].rss_dbm if n in group.readings else np.nan for n in names])
         if np.isnan(rss).all():  # heard only by robots whose place is unknown
             return None
-        astray = self._astray(group)
-        keep = [index for index, name in enumerate(names) if name not in astray]
+        out_of_step = self._out_of_step(group)
+        keep = [index for index, name in enumerate(names) if name not in out_of_step]
         names, rss = tuple(names[index] for index in keep), rss[keep]
         place = np.array(places)[keep]
         saturated = np.array([n in group.readings and group.readings[n].saturated for n in names])
         return Detection(group.t_ns, names, place[:, :2].copy(), place[:, 2].copy(), rss, saturated)
 
-    def _astray(self, group: _Group) -> set[str]:
+    def _out_of_step(self, group: _Group) -> set[str]:
         """Robots that heard something near in time which may have been this transmission."""
         reach_ns = ASTRAY_WINDOWS * self._window_ns
         return {

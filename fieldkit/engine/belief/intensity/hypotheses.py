@@ -72,12 +72,12 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     mixture.revise_at[candidate.ident] = _next_look(count, odds_nats, inconsistent)
     if odds_nats > BETTER_NATS:
         best = pairs[int(np.argmax(scores))]
-        parts = [_retold(mixture, candidate, _undone(part.share, share, whole)) for part in best]
+        parts = [_re_estimated(mixture, candidate, _undone(part.share, share, whole)) for part in best]
     else:
         moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.grid.cell_m
         if not (moved or inconsistent):
             return False
-        parts = [_retold(mixture, candidate, whole)]
+        parts = [_re_estimated(mixture, candidate, whole)]
         if _score(parts, whole) < _score([candidate], whole) + BETTER_NATS:
             return False
     mixture.remove(candidate)
@@ -89,8 +89,8 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
         part.absorbed = candidate.absorbed * part.receptions / told
         part.log_absent = candidate.log_absent
     mixture.candidates += parts
-    for retold in parts:
-        _know_all(mixture, retold)
+    for revised in parts:
+        _know_all(mixture, revised)
     return True
 
 
@@ -148,7 +148,7 @@ def _fresh(
     return fresh
 
 
-def _retold(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> Candidate:
+def _re_estimated(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> Candidate:
     """A new candidate, on the usual points, that claims these shares."""
     claimed = {number: part for number, part in share.items() if part > 0.0}
     fresh = _fresh(mixture, candidate, claimed, spacing=1.0)
