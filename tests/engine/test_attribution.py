@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from fieldkit.engine.belief.intensity import loops
+from fieldkit.engine.belief.intensity.arena import Arena, starts
 from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
 from fieldkit.engine.planning import path_loops
@@ -18,7 +19,7 @@ PRIOR_S = 20.0
 
 def some_candidates(rng: np.random.Generator, count: int, detections: int) -> list[Candidate]:
     """Candidates of unlike sizes that know most of the detections and claim some of each."""
-    result = []
+    result, arena = [], Arena()
     for ident in range(count):
         points, levels = int(rng.integers(3, 40)), 3
         candidate = Candidate(
@@ -28,6 +29,7 @@ def some_candidates(rng: np.random.Generator, count: int, detections: int) -> li
             PRIOR_S,
             rng.uniform(0, 300, (levels, points)),
             0.5,
+            arena,
         )
         for number in range(detections):
             if rng.random() < 0.8:
@@ -51,8 +53,8 @@ def plain_pass(
         terms = [log_unknown[k], log_clutter[k]]
         for candidate, seen in near:
             others = candidate.receptions - candidate.share[number]
-            without = candidate.log_posterior() - candidate.share[number] * candidate.logs[number]
-            predicted = logsumexp(without + candidate.logs[number]) - logsumexp(without)
+            without = candidate.log_posterior() - candidate.share[number] * candidate.logs[number].array
+            predicted = logsumexp(without + candidate.logs[number].array) - logsumexp(without)
             terms.append(np.log((RATE_SHAPE + others) / (PRIOR_S + seen)) + predicted)
         shares = np.exp(terms - logsumexp(terms))
         unclaimed.append(float(shares[0]) if near else 1.0)
@@ -72,7 +74,17 @@ def test_a_pass_shares_detections_out_as_plain_numpy_does(seed: int, count: int,
     unknown, clutter = rng.normal(-14, 3, detections), rng.normal(-18, 1, detections)
     seen = rng.uniform(0, 200, count)
     left = Shares(np.ones(detections), clutter.copy())
-    share_out(ours, numbers, unknown, clutter, lambda: seen, PRIOR_S, left, passes=1)
+    share_out(
+        ours[0].arena if ours else Arena(),
+        ours,
+        numbers,
+        unknown,
+        clutter,
+        lambda: seen,
+        PRIOR_S,
+        left,
+        passes=1,
+    )
     # Entries 25 nats down are left out: likelihoods as unlike as these make some 1e-5 of that.
     unclaimed, explained = plain_pass(twins, numbers, unknown, clutter, seen)
     assert left.unclaimed == pytest.approx(unclaimed, abs=1e-4)
@@ -93,8 +105,9 @@ def test_one_more_source_is_weighed_as_the_poisson_process_says() -> None:
         part = like.reshape(2, row1 - row0, column1 - column0)
         expected[:, row0:row1, column0:column1] += np.log1p(f * part)
     out = np.empty_like(exposure)
-    rows = np.array([loops.address(like) for like in likes])
-    loops.another_source_llr(rows, boxes, factor, exposure, 0.05, out)
+    arena = Arena()
+    rows = [arena.put(like) for like in likes]
+    loops.another_source_llr(arena.values, starts(rows), boxes, factor, exposure, 0.05, out)
     assert out == pytest.approx(expected, abs=1e-11)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from fieldkit.engine.belief.intensity import loops
+from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
 from fieldkit.messages import FloatArray
 
 RATE_SHAPE = 1.0
@@ -63,12 +64,12 @@ class Candidate:
     """(h, n) P(heard) integrated over the time listened."""
     spacing_m: float
     """Between neighbouring points."""
+    arena: Arena
+    """Where log-likelihoods are kept: one for all candidates that share detections out among them."""
     evidence: FloatArray = field(init=False)
     """(h, n) sum of share times log-likelihood."""
-    logs: dict[int, FloatArray] = field(default_factory=dict)
+    logs: dict[int, Row] = field(default_factory=dict)
     """Detection number to its log-likelihood over the cloud, for all detections that may be this source's."""
-    address: dict[int, int] = field(default_factory=dict)
-    """Where those begin in memory."""
     share: dict[int, float] = field(default_factory=dict)
     """Detection number to the probability that this source sent it."""
     rate_trust: float = 1.0
@@ -93,7 +94,7 @@ class Candidate:
     def copy(self) -> "Candidate":
         """Another that shares the arrays but claims for itself."""
         other = copy.copy(self)
-        other.logs, other.address, other.share = dict(self.logs), dict(self.address), dict(self.share)
+        other.logs, other.share = dict(self.logs), dict(self.share)
         other.based_on = dict(self.based_on)
         other.evidence = self.evidence.copy()
         return other
@@ -133,20 +134,20 @@ class Candidate:
 
     def know(self, number: int, log_likelihood: FloatArray) -> None:
         """Have a detection at hand that this source may have sent; its share is 0 until claimed."""
-        self.logs[number] = np.ascontiguousarray(log_likelihood)
-        self.address[number] = loops.address(self.logs[number])
+        self.logs[number] = self.arena.put(log_likelihood)
         self.share.setdefault(number, 0.0)
 
     def set_share(self, number: int, share: float) -> None:
         """Claim a detection with this probability."""
-        self.evidence += (share - self.share[number]) * self.logs[number]
+        self.evidence += (share - self.share[number]) * self.logs[number].array
         self.share[number] = share
         self._receptions = None
 
     def set_shares(self, numbers: Sequence[int], shares: Sequence[float]) -> None:
         """Claim each of several detections with its probability, at once."""
         loops.add_rows(
-            np.array([self.address[number] for number in numbers], dtype=np.int64),
+            self.arena.values,
+            starts([self.logs[number] for number in numbers]),
             np.array([share - self.share[number] for number, share in zip(numbers, shares, strict=True)]),
             self.evidence.reshape(-1),
         )
@@ -169,9 +170,8 @@ class Candidate:
         self.log_prior = np.ascontiguousarray(self.log_prior[:, keep])
         self.expose(np.ascontiguousarray(self.exposure_s[:, keep]))
         self.evidence = np.ascontiguousarray(self.evidence[:, keep])
-        for number, log in self.logs.items():
-            self.logs[number] = np.ascontiguousarray(log[:, keep])
-            self.address[number] = loops.address(self.logs[number])
+        for number, row in self.logs.items():
+            self.logs[number] = self.arena.put(row.array[:, keep])
 
     def forget(self, number: int) -> None:
         """Fold a detection into the evidence for good: its share is final."""
@@ -179,7 +179,7 @@ class Candidate:
             share = self.share.pop(number)
             self.absorbed += share
             self.log_absent += math.log1p(-min(share, 1.0 - 1e-9))
-            del self.logs[number], self.address[number]
+            del self.logs[number]
             self.based_on.pop(number, None)
             self._receptions = None
 

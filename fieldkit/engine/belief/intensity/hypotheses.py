@@ -166,8 +166,8 @@ def _re_estimated(mixture: "Mixture", candidate: Candidate, share: dict[int, flo
 def _two(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> list[list[Candidate]]:
     """Two sources, from first guesses that divide the detections across the line they spread on most."""
     alone = []
-    for log in blank.logs.values():
-        weight = np.exp(mixture.model.marginal(log))
+    for row in blank.logs.values():
+        weight = np.exp(mixture.model.marginal(row.array))
         alone.append((weight / weight.sum()) @ blank.points_m)
     spread = np.array(alone) - np.mean(alone, axis=0)
     axis = np.linalg.svd(spread, full_matrices=False)[2][0]
@@ -188,7 +188,7 @@ def _best_two_places(mixture: "Mixture", blank: Candidate, share: dict[int, floa
     transmission was. Coordinate ascent over all places and known powers, from the best single one.
     """
     known = mixture.model.n_known
-    logs = np.array([blank.logs[number][:known].ravel() for number in share])
+    logs = np.array([blank.logs[number].array[:known].ravel() for number in share])
     weight = np.array(list(share.values()))
     like = np.exp(logs - logs.max(axis=1, keepdims=True)) + 1e-12
     first = second = int(np.argmax(weight @ np.log(like)))
@@ -214,6 +214,7 @@ def _divide(
         active, start, post, log_exposure = entries_that_count(pair)
         before = parts.copy()
         loops.share_out(
+            mixture.arena.values,
             rows,
             parts,
             whole,

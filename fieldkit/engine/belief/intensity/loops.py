@@ -1,15 +1,12 @@
 """The compiled loops of the default belief. Each has a plain numpy twin in the tests.
 
-They take many arrays of unlike sizes at once, by address: log-likelihoods of detections over the clouds of candidates,
-or over the cells near where they were heard.
+They read many rows of unlike sizes at once, from one array (`arena`): log-likelihoods of detections over the clouds of
+candidates, or over the cells near where they were heard.
 """
 
 import math
-from typing import Any
 
 import numpy as np
-from numba import carray, types  # type: ignore[attr-defined]
-from numba.extending import intrinsic
 
 from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray, IntArray
@@ -38,37 +35,18 @@ def _exp(x: float) -> float:
     return result
 
 
-def address(array: FloatArray) -> int:
-    """Where a C-contiguous array begins in memory: for kernels that take many arrays of unlike sizes at once.
-
-    Good for one call, while the array is held: ask again for the next.
-    """
-    return int(array.__array_interface__["data"][0])
-
-
-def _pointer_of(typing_context: Any, address: Any) -> Any:
-    """An address as a pointer to float64, for `carray`."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
-
-    return types.CPointer(types.float64)(address), generate  # type: ignore[no-untyped-call]
-
-
-_as_pointer: Any = intrinsic(_pointer_of)
-
-
 @njit(cache=True, nogil=True)
-def add_rows(rows: IntArray, factor: FloatArray, out: FloatArray) -> None:
-    """out (n,) plus the sum over k of factor[k] times the n float64 at address rows[k]."""
+def add_rows(values: FloatArray, rows: IntArray, factor: FloatArray, out: FloatArray) -> None:
+    """out (n,) plus the sum over k of factor[k] times the n values from rows[k] on."""
     for k in range(rows.shape[0]):
-        row = carray(_as_pointer(rows[k]), (out.shape[0],))
+        row = values[rows[k] : rows[k] + out.shape[0]]
         for i in range(out.shape[0]):
             out[i] += factor[k] * row[i]
 
 
 @njit(cache=True, nogil=True)
 def share_out(
+    values: FloatArray,
     rows: IntArray,
     share: FloatArray,
     whole: FloatArray,
@@ -88,10 +66,10 @@ def share_out(
 ) -> None:
     """Share each detection out among the candidates that know it, the unknown and clutter, one after another.
 
-    `rows` (k, c) is the address of candidate c's log-likelihoods of detection k (float64, over its entries), or 0;
-    `share` (k, c), `post`, `receptions` (c,), `unclaimed` and `explained` (k,) are brought up to date; `whole` (k,)
-    is what there is to share out. `active` lists the entries of candidate c that count, from `start[c]`; `post` and
-    `log_exposure` stand beside it.
+    Candidate c's log-likelihoods of detection k, over its entries, stand in `values` from `rows` (k, c) on, which is
+    negative where it has none. `share` (k, c), `post`, `receptions` (c,), `unclaimed` and `explained` (k,) are brought
+    up to date; `whole` (k,) is what there is to share out. `active` lists the entries of candidate c that count, from
+    `start[c]`; `post` and `log_exposure` stand beside it.
 
     What a candidate predicts leaves the detection itself out: its posterior without its share of it.
     """
@@ -104,7 +82,7 @@ def share_out(
         near = 0
         settled = False
         for c in range(c_all):
-            if rows[k, c] != 0:
+            if rows[k, c] >= 0:
                 near += 1
                 settled = settled or share[k, c] > 0.999
         if near == 0:
@@ -118,9 +96,9 @@ def share_out(
         top = max(terms[0], terms[1])
         top_known = terms[1]
         for c in range(c_all):
-            if rows[k, c] == 0:
+            if rows[k, c] < 0:
                 continue
-            log_like = carray(_as_pointer(rows[k, c]), (active[start[c + 1] - 1] + 1,))
+            log_like = values[rows[k, c] : rows[k, c] + active[start[c + 1] - 1] + 1]
             weight = share[k, c]
             total = 0.0
             total_with = 0.0
@@ -159,13 +137,13 @@ def share_out(
         all_ways = math.exp(terms[0] - top) + math.exp(terms[1] - top)
         known_ways = math.exp(terms[1] - top_known)
         for c in range(c_all):
-            if rows[k, c] != 0:
+            if rows[k, c] >= 0:
                 all_ways += math.exp(terms[c + 2] - top)
                 known_ways += math.exp(terms[c + 2] - top_known)
         unclaimed[k] = math.exp(terms[0] - top) / all_ways
         explained[k] = top_known + math.log(known_ways)
         for c in range(c_all):
-            if rows[k, c] == 0:
+            if rows[k, c] < 0:
                 continue
             new = whole[k] * math.exp(terms[c + 2] - top) / all_ways
             change = new - share[k, c]
@@ -173,19 +151,22 @@ def share_out(
             receptions[c] += change
             if abs(change) > 1e-12:
                 stale[c] = True
-                log_like = carray(_as_pointer(rows[k, c]), (active[start[c + 1] - 1] + 1,))
+                log_like = values[rows[k, c] : rows[k, c] + active[start[c + 1] - 1] + 1]
                 for a in range(start[c], start[c + 1]):
                     post[a] += change * (log_like[active[a]] - log_exposure[a])
 
 
 @njit(cache=True, nogil=True)
-def log_expected(rows: IntArray, box: IntArray, rate: FloatArray, out: FloatArray) -> None:
+def log_expected(
+    values: FloatArray, rows: IntArray, box: IntArray, rate: FloatArray, out: FloatArray
+) -> None:
     """out (k,): log of the sum over the cells of a box of `rate` (n_north, n_east) times a detection's likelihood.
 
-    The likelihood stands at address rows[k], over the cells of box[k] (row0, row1, column0, column1) row by row.
+    The likelihood stands in `values` from rows[k] on, over the cells of box[k] (row0, row1, column0, column1), row by
+    row.
     """
     for k in range(rows.shape[0]):
-        like = carray(_as_pointer(rows[k]), ((box[k, 1] - box[k, 0]) * (box[k, 3] - box[k, 2]),))
+        like = values[rows[k] : rows[k] + (box[k, 1] - box[k, 0]) * (box[k, 3] - box[k, 2])]
         total = 0.0
         at = 0
         for r in range(box[k, 0], box[k, 1]):
@@ -197,6 +178,7 @@ def log_expected(rows: IntArray, box: IntArray, rate: FloatArray, out: FloatArra
 
 @njit(cache=True, nogil=True)
 def another_source_llr(
+    values: FloatArray,
     rows: IntArray,
     box: IntArray,
     factor: FloatArray,
@@ -207,8 +189,8 @@ def another_source_llr(
     """out (levels, n_north, n_east): log likelihood ratio of one more source of that power in the cell, over none.
 
     -rate * exposure + sum over detections of log(1 + factor * L), the Poisson process likelihood ratio, where
-    `factor` (k,) is the rate over the intensity that already explains detection k. Its L, at most 1, stands at the
-    address `rows[k]`: (levels, cells of its box (row0, row1, column0, column1) row by row), float64.
+    `factor` (k,) is the rate over the intensity that already explains detection k. Its L, at most 1, stands in
+    `values` from rows[k] on: (levels, cells of its box (row0, row1, column0, column1) row by row).
     """
     levels, n_north, n_east = exposure.shape
     # Factors are multiplied up and their logarithm taken now and then, before they can overflow.
@@ -228,7 +210,7 @@ def another_source_llr(
                 size = math.log1p(factor[k])
             width = box[k, 3] - box[k, 2]
             cells = (box[k, 1] - box[k, 0]) * width
-            like = carray(_as_pointer(rows[k]), (levels * cells,))
+            like = values[rows[k] : rows[k] + levels * cells]
             at = h * cells
             for r in range(box[k, 0], box[k, 1]):
                 near = product[r, box[k, 2] : box[k, 3]]

@@ -13,6 +13,7 @@ import numpy as np
 
 from fieldkit.engine.belief.intensity import hypotheses as hypotheses
 from fieldkit.engine.belief.intensity import loops
+from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
 from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Summary, merged_gain, summarise
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
 from fieldkit.engine.likelihood import levels_loops
@@ -44,9 +45,9 @@ class OpenDetection:
 
     detection: Detection
     box: tuple[int, int, int, int]
-    like: FloatArray
+    like: Row
     """(known levels, cells of the box, row by row)"""
-    mean_like: FloatArray
+    mean_like: Row
     """(rows, columns) of the box: the same averaged over the levels."""
     log_scale: float
     log_clutter: float
@@ -55,9 +56,6 @@ class OpenDetection:
     """(k, 2) where it was heard."""
     rss_dbm: FloatArray
     """(k,) how strongly; nan where at the receiver's ceiling."""
-    address: int
-    mean_address: int
-    """Where `like` and `mean_like` begin in memory."""
 
 
 class Mixture:
@@ -89,6 +87,10 @@ class Mixture:
         """Detection to the log of the intensity with which clutter and the candidates explain it."""
         self.revise_at: dict[int, float] = {}
         """Candidate to the receptions at which its hypothesis is next told afresh."""
+        self.arena = Arena()
+        """What candidates know of detections."""
+        self._open_arena = Arena()
+        """Likelihoods of the open detections over the grid."""
         self._next_detection = 0
         self._next_ident = 1
         self._summaries: dict[int, Summary] = {}
@@ -191,9 +193,9 @@ class Mixture:
                 ]
                 if claimed == candidate.based_on.get(number):
                     continue
-                old = candidate.logs[number]
+                old = candidate.logs[number].array
                 candidate.know(number, self.log_likelihood(candidate, number))
-                candidate.evidence += share * (candidate.logs[number] - old)
+                candidate.evidence += share * (candidate.logs[number].array - old)
                 self._summaries.pop(candidate.ident, None)
 
     def _settle(self) -> None:
@@ -216,14 +218,12 @@ class Mixture:
         return OpenDetection(
             detection,
             (row0, row1, column0, column1),
-            like,
-            mean,
+            self._open_arena.put(like),
+            self._open_arena.put(mean),
             scale,
             clutter,
             heard_at,
             np.where(detection.saturated, np.nan, detection.rss_dbm)[detection.heard],
-            loops.address(like),
-            loops.address(mean),
         )
 
     def in_reach(self, candidate: Candidate, stored: OpenDetection) -> bool:
@@ -256,7 +256,8 @@ class Mixture:
         stored = self.open.values()
         logs = np.empty(len(stored))
         loops.log_expected(
-            np.array([s.mean_address for s in stored], dtype=np.int64),
+            self._open_arena.values,
+            starts([s.mean_like for s in stored]),
             np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
             self.unknown_rate(),
             logs,
@@ -283,6 +284,7 @@ class Mixture:
             return seen
 
         share_out(
+            self.arena,
             self.candidates,
             numbers,
             log_unknown,
@@ -324,7 +326,8 @@ class Mixture:
         stored = self.open.values()
         scale = np.array([s.log_scale for s in stored]) - np.array([self.explained[k] for k in self.open])
         loops.another_source_llr(
-            np.array([s.address for s in stored], dtype=np.int64),
+            self._open_arena.values,
+            starts([s.like for s in stored]),
             np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
             self.settings.reference_rate_hz * np.exp(scale),
             self.known_exposure_s(),
@@ -359,7 +362,7 @@ class Mixture:
             candidate.know(number, self.log_likelihood(candidate, number))
             row0, row1, column0, column1 = stored.box
             if row0 <= row < row1 and column0 <= column < column1:
-                like = stored.like[level, (row - row0) * (column1 - column0) + column - column0]
+                like = stored.like.array[level, (row - row0) * (column1 - column0) + column - column0]
                 ratio = rate * like * np.exp(stored.log_scale - self.explained[number])
                 candidate.set_share(number, float(ratio / (1.0 + ratio)))
         if candidate.receptions < DEATH_RECEPTIONS:
@@ -388,7 +391,9 @@ class Mixture:
         )
         density = self.settings.expected_sources / self.grid.n_cells / per_cell**2
         prior = np.repeat(self.model.log_prior[:, None] + np.log(density), points.shape[0], axis=1)
-        return Candidate(self.next_ident(), points, prior, self.rate_prior_s, self.exposure_at(points), fine)
+        return Candidate(
+            self.next_ident(), points, prior, self.rate_prior_s, self.exposure_at(points), fine, self.arena
+        )
 
     def _refine(self, candidate: Candidate) -> None:
         """Tell a candidate that has become small on four points for each of its own; its shares stay."""
@@ -398,7 +403,11 @@ class Mixture:
         candidate.log_prior = np.repeat(candidate.log_prior - np.log(4.0), 4, axis=1)
         # What has been folded in for good is known only on the old points.
         folded = candidate.evidence - sum(
-            (share * candidate.logs[number] for number, share in candidate.share.items() if share > 0.0),
+            (
+                share * candidate.logs[number].array
+                for number, share in candidate.share.items()
+                if share > 0.0
+            ),
             start=np.zeros_like(candidate.evidence),
         )
         candidate.evidence = np.repeat(folded, 4, axis=1)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldkit.engine.belief.intensity import loops
+from fieldkit.engine.belief.intensity.arena import Arena, starts_table
 from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, active_entries
 from fieldkit.messages import FloatArray
 
@@ -29,6 +30,7 @@ class Shares:
 
 
 def share_out(
+    arena: Arena,
     candidates: list[Candidate],
     numbers: list[int],
     log_unknown: FloatArray,
@@ -39,8 +41,9 @@ def share_out(
     *,
     passes: int,
 ) -> None:
-    """Passes over detections `numbers` (k); `log_unknown` and `log_clutter` (k,).
+    """Passes over detections `numbers` (k) of candidates that keep what they know in `arena`.
 
+    `log_unknown` and `log_clutter` (k,).
     `mean_exposure_s` gives (candidates,) as it is before each pass. All passes but the last leave alone what one
     candidate claims beyond doubt.
     """
@@ -50,6 +53,7 @@ def share_out(
         active, start, post, log_exposure = entries_that_count(candidates)
         before = share.copy()
         loops.share_out(
+            arena.values,
             rows,
             share,
             whole,
@@ -71,12 +75,12 @@ def share_out(
 
 
 def known_shares(candidates: list[Candidate], numbers: list[int]) -> tuple[NDArray[np.int64], FloatArray]:
-    """(k, c) addresses of the log-likelihoods, 0 where a candidate does not know a detection; (k, c) shares."""
+    """(k, c) where the log-likelihoods begin, negative where a candidate does not know a detection; (k, c) shares."""
     shape = (len(candidates), len(numbers))
-    rows = [[candidate.address.get(number, 0) for number in numbers] for candidate in candidates]
+    rows = [[candidate.logs.get(number) for number in numbers] for candidate in candidates]
     share = [[candidate.share.get(number, 0.0) for number in numbers] for candidate in candidates]
     return (
-        np.ascontiguousarray(np.array(rows, dtype=np.int64).reshape(shape).T),
+        starts_table(rows, len(numbers)),
         np.ascontiguousarray(np.array(share, dtype=float).reshape(shape).T),
     )
 

@@ -1,0 +1,76 @@
+"""One long array that holds many rows of unlike sizes, for loops that read many of them in one call.
+
+A loop is handed `Arena.values` and where the rows begin. A row lives as long as somebody holds its `Row`; room that
+nobody holds any more is reclaimed when the array is full. Rows are never written again, so views of them stay right
+even when the rows have moved to a new array since.
+"""
+
+import weakref
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldkit.messages import FloatArray, IntArray
+
+FIRST_SIZE = 4096
+UNKNOWN = -1
+"""Stands for the beginning of a row that does not exist."""
+
+
+class Row:
+    """A row's place in its arena."""
+
+    __slots__ = ("__weakref__", "_arena", "shape", "size", "start")
+
+    def __init__(self, arena: "Arena", start: int, shape: tuple[int, ...], size: int) -> None:
+        self._arena, self.start, self.shape, self.size = arena, start, shape, size
+
+    @property
+    def array(self) -> FloatArray:
+        """The row as it was put in; not to be written to."""
+        view = self._arena.values[self.start : self.start + self.size].reshape(self.shape)
+        view.flags.writeable = False
+        return view
+
+
+class Arena:
+    """Rows of float64 one after another."""
+
+    def __init__(self) -> None:
+        self.values = np.empty(FIRST_SIZE)
+        self._rows: list[weakref.ref[Row]] = []
+        self._used = 0
+
+    def put(self, array: FloatArray) -> Row:
+        """A copy of `array`, of any shape, for as long as the row is held."""
+        if self._used + array.size > self.values.size:
+            self._make_room(array.size)
+        row = Row(self, self._used, array.shape, array.size)
+        self.values[row.start : row.start + row.size] = array.ravel()
+        self._used += row.size
+        self._rows.append(weakref.ref(row))
+        return row
+
+    def _make_room(self, size: int) -> None:
+        """Move the rows that somebody holds to a new array with room for `size` more, half of it free."""
+        held = [row for row in (each() for each in self._rows) if row is not None]
+        needed = sum(row.size for row in held) + size
+        values = np.empty(max(FIRST_SIZE, 2 * needed))
+        at = 0
+        for row in held:
+            values[at : at + row.size] = self.values[row.start : row.start + row.size]
+            row.start = at
+            at += row.size
+        self.values, self._used = values, at
+        self._rows = [weakref.ref(row) for row in held]
+
+
+def starts(rows: list[Row]) -> IntArray:
+    """(k,) where each begins, good until the next row is put into the arena."""
+    return np.array([row.start for row in rows], dtype=np.int64)
+
+
+def starts_table(columns: list[list[Row | None]], height: int) -> NDArray[np.int64]:
+    """(height, c) the same of a table, given by its columns; `UNKNOWN` where there is none."""
+    table = [[UNKNOWN if row is None else row.start for row in column] for column in columns]
+    return np.ascontiguousarray(np.array(table, dtype=np.int64).reshape(len(columns), height).T)

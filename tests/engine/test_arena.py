@@ -1,0 +1,62 @@
+"""Rows of unlike sizes in one array: what is held stays as it was put in, what is not held makes room."""
+
+import gc
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+
+from fieldkit.engine.belief.intensity.arena import FIRST_SIZE, UNKNOWN, Arena, starts, starts_table
+
+
+@budget(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 3_000)), max_size=60), st.randoms())
+def test_rows_that_are_held_stay_as_they_were_put_in(acts, random) -> None:  # type: ignore[no-untyped-def]
+    arena, held = Arena(), []
+    for number, (drop, size) in enumerate(acts):
+        if drop and held:
+            held.pop(random.randrange(len(held)))
+        array = np.full((size,), float(number))
+        held.append((arena.put(array), array))
+    for row, array in held:
+        assert (row.array == array).all()
+        assert (arena.values[row.start : row.start + row.size] == array).all()
+    rows = sorted((row.start, row.size) for row, _ in held if row.size)
+    assert all(start + size <= following for (start, size), (following, _) in itertools.pairwise(rows))
+
+
+def test_room_is_bounded_by_what_is_held() -> None:
+    arena = Arena()
+    for number in range(1_000):
+        row = arena.put(np.full((3, 100), float(number)))
+    gc.collect()
+    assert arena.values.size <= 2 * FIRST_SIZE
+    assert row.array.shape == (3, 100)
+    assert (row.array == 999.0).all()
+
+
+def test_a_view_outlives_the_move_of_its_row() -> None:
+    arena = Arena()
+    row = arena.put(np.arange(10.0))
+    view = row.array
+    others = [arena.put(np.ones(FIRST_SIZE)) for _ in range(3)]
+    assert (view == np.arange(10.0)).all()
+    assert (row.array == view).all()
+    assert len(others) == 3
+
+
+def test_a_row_cannot_be_written_to() -> None:
+    row = Arena().put(np.arange(3.0))
+    with pytest.raises(ValueError, match="read-only"):
+        row.array[0] = 1.0
+
+
+def test_what_is_not_known_has_no_beginning() -> None:
+    arena = Arena()
+    first, second = arena.put(np.zeros(5)), arena.put(np.zeros(7))
+    assert starts([first, second]).tolist() == [0, 5]
+    assert starts_table([[first, None], [None, second]], 2).tolist() == [[0, UNKNOWN], [UNKNOWN, 5]]
+    assert starts_table([], 2).shape == (2, 0)
