@@ -17,7 +17,7 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.geo import FieldFrame
 from fieldkit.geometry.polygons import KeepOut
-from mission.core.kernel import KernelSettings
+from mission.core.kernel_settings import KernelSettings
 from mission.core.tables import MissionFile, rectangle
 from mission.safety.rules import SafetySettings
 

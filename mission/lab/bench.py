@@ -232,7 +232,7 @@ def _one_look(cells: int, detections: int) -> dict[str, float]:
 def kernel() -> dict[str, Any]:
     """Simulated seconds per wall second of the kernel loop: the default engine, 6 robots, 4 sources, 600 s."""
     from fieldkit.world.sources import random_sources
-    from mission.core.kernel import KernelSettings
+    from mission.core.kernel_settings import KernelSettings
     from mission.lab.simulate import Truth, simulate
 
     engine = settings(prior_rule="em", sensing="levels")

@@ -24,7 +24,8 @@ from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Command, Detection, Event, FloatArray, Listening, Pose, RssReading, Tick
 from fieldkit.world.sources import TransientSource, random_sources
-from mission.core.kernel import Kernel, KernelSettings, Outcome
+from mission.core.kernel import Kernel, Outcome
+from mission.core.kernel_settings import KernelSettings
 from mission.lab.simulate import Truth, simulate
 from mission.lab.study.trust import LEVELS_DB, antenna, settings
 

@@ -33,7 +33,8 @@ TARGETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
          "tests/mission/test_watched.py", "tests/mission/test_safety_rules.py"),
     ),
     "kernel": (
-        ("mission/core/kernel.py",),
+        ("mission/core/kernel.py", "mission/core/fleet.py", "mission/core/tasks.py", "mission/core/turns.py",
+         "mission/core/endings.py"),
         ("tests/mission/test_kernel_rules.py", "tests/mission/test_kernel.py"),
     ),
     "association": (

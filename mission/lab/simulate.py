@@ -27,7 +27,8 @@ from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.rover import Rover
 from fieldkit.world.shadowing import ShadowField
 from fieldkit.world.sources import TransientSource, Transmissions
-from mission.core.kernel import Kernel, KernelSettings, Outcome
+from mission.core.kernel import Kernel, Outcome
+from mission.core.kernel_settings import KernelSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,8 @@ from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Detection, Pose, RssReading, Tick, VehicleState
 from fieldkit.world.sources import TransientSource
-from mission.core.kernel import Kernel, KernelSettings
+from mission.core.kernel import Kernel
+from mission.core.kernel_settings import KernelSettings
 from mission.lab.bench import random_detection, settings
 from mission.lab.simulate import Truth, simulate
 from mission.lab.study.trust import antenna

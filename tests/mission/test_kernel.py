@@ -8,7 +8,8 @@ import pytest
 
 from fieldkit.messages import EndMission, GoTo, Operator, Pose, RssReading, Tick, VehicleState
 from fieldkit.world.sources import TransientSource
-from mission.core.kernel import MOST_AT_ONCE, MOST_WAITING, Kernel, KernelSettings, state_digest
+from mission.core.kernel import MOST_AT_ONCE, MOST_WAITING, Kernel, state_digest
+from mission.core.kernel_settings import KernelSettings
 from mission.lab.simulate import Truth, simulate
 from mission.lab.synthetic import ANTENNA, LEVELS_DB, small_mission
 

@@ -16,7 +16,9 @@ from fieldkit.messages import (
     VehicleState,
     Waypoint,
 )
-from mission.core.kernel import LATE_LEGS, Kernel, KernelSettings
+from mission.core.kernel import Kernel
+from mission.core.kernel_settings import KernelSettings
+from mission.core.tasks import LATE_LEGS
 from mission.lab.synthetic import small_mission
 
 S = 1_000_000_000

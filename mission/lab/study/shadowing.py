@@ -18,7 +18,8 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import SourceEstimate
 from fieldkit.world.shadowing import shadow_fields
 from fieldkit.world.sources import TransientSource, random_sources
-from mission.core.kernel import Kernel, KernelSettings
+from mission.core.kernel import Kernel
+from mission.core.kernel_settings import KernelSettings
 from mission.lab.simulate import Truth, simulate
 from mission.lab.study.pool import Progress, run_trials
 from mission.lab.study.trust import CELL_M, EXPONENT, FIELD_M, LEVELS_DB, RATE_HZ, THRESHOLD_DBM

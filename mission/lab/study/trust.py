@@ -18,7 +18,8 @@ from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.world.sources import TransientSource, random_sources
-from mission.core.kernel import Kernel, KernelSettings
+from mission.core.kernel import Kernel
+from mission.core.kernel_settings import KernelSettings
 from mission.lab.simulate import Truth, simulate
 from mission.lab.study.pool import Progress, run_trials
 
