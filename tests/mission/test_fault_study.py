@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from fieldkit import jumploop
-from mission.lab.study import fault_judge, faults
-from mission.lab.study.faults import KINDS, LARGE, SMALL, Fault, Job, draw_faults, summary, trial
+from mission.lab.study import fault_flight, fault_judge, fault_kinds
+from mission.lab.study.fault_kinds import KINDS, LARGE, SMALL, Fault, Job, draw_faults
+from mission.lab.study.faults import summary, trial
 from mission.safety.rules import SafetySettings
 
 
@@ -25,7 +26,7 @@ def test_faults_come_from_the_seed_and_every_kind_comes_up() -> None:
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(faults, "SMALL", replace(SMALL, duration_s=60.0))
+    monkeypatch.setattr(fault_kinds, "SMALL", replace(SMALL, duration_s=60.0))
 
 
 @pytest.mark.usefixtures("short")
@@ -59,10 +60,10 @@ def test_the_judge_sees_two_ways_that_meet() -> None:
 def test_only_a_short_loss_of_position_under_our_own_hold_needs_no_resume() -> None:
     limits = SafetySettings(("a",), 10.0, 10.0, call_after_s=30.0, pose_timeout_s=2.0)
     short, long = Fault("GPS loss", "a", 100.0, 131.0), Fault("GPS loss", "a", 100.0, 140.0)
-    assert faults._goes_on_by_itself(short, True, limits)
-    assert not faults._goes_on_by_itself(short, False, limits), "its own failsafe has taken it from us"
-    assert not faults._goes_on_by_itself(long, True, limits)
-    assert not faults._goes_on_by_itself(replace(short, kind="link loss"), True, limits)
+    assert fault_flight._goes_on_by_itself(short, True, limits)
+    assert not fault_flight._goes_on_by_itself(short, False, limits), "its own failsafe has taken it from us"
+    assert not fault_flight._goes_on_by_itself(long, True, limits)
+    assert not fault_flight._goes_on_by_itself(replace(short, kind="link loss"), True, limits)
 
 
 def test_time_jumps_and_sockets_do_not() -> None:

@@ -17,7 +17,7 @@ from mission.core.mission_file import Mission
 from mission.replay.replay import replay
 
 if TYPE_CHECKING:
-    from mission.lab.study.faults import Flight
+    from mission.lab.study.fault_flight import Flight
 
 ROUNDING_M = 0.02
 
