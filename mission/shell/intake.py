@@ -1,7 +1,7 @@
 """What devices say, as events. A device that fails is a fact for the mission, not its end."""
 
 import logging
-from collections.abc import AsyncIterator, Callable, Container
+from collections.abc import AsyncIterator, Callable, Container, Iterable
 
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError
@@ -9,6 +9,22 @@ from fieldkit.messages import Event, Pose, ReceiverState, VehicleState
 from fieldkit.ports import PositionSource, Receiver, VehicleLink
 
 logger = logging.getLogger(__name__)
+
+
+def streams_of(
+    receivers: Iterable[Receiver],
+    links: Iterable[VehicleLink],
+    positions: Iterable[PositionSource],
+    clock: Clock,
+    note: Callable[[str, str], None],
+) -> list[tuple[str, AsyncIterator[Event]]]:
+    """Every device's events, with its name. A robot that another source places has no poses from its link."""
+    sources = tuple(positions)
+    placed = {robot for source in sources for robot in source.robots}
+    streams = [(f"receiver {r.robot}", from_receiver(r, clock)) for r in receivers]
+    streams += [(f"link {' '.join(link.robots)}", from_link(link, clock, placed)) for link in links]
+    streams += [(f"positions {' '.join(p.robots)}", from_positions(p, note)) for p in sources]
+    return streams
 
 
 async def from_receiver(receiver: Receiver, clock: Clock) -> AsyncIterator[Event]:

@@ -6,14 +6,11 @@ a mission ends (finished, a signal, an error), the vehicles are told to hold unt
 named, and the recording is closed.
 
 A robot for which safety calls the operator is withdrawn: that too goes through the inbox, so that a replay knows it.
-
-Ticks that come while one is still waiting are skipped: a slow moment costs resolution, never a backlog.
 """
 
 import asyncio
 import contextlib
 import logging
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -39,22 +36,19 @@ from mission.core.kernel import Kernel, Outcome, state_digest
 from mission.core.mission_file import Mission
 from mission.safety.rules import Safety
 from mission.shell.dispatcher import ACQUIRE, RELEASE, Dispatcher
-from mission.shell.intake import from_link, from_positions, from_receiver
+from mission.shell.intake import streams_of
+from mission.shell.landing import Landing
 from mission.shell.recorder import Follower, Look, MissionRecorder
 from mission.shell.setups import Setup
 from mission.shell.signals import StopSignals
 from mission.shell.start import Start
+from mission.shell.ticks import TICK_S, Ticks
 from mission.shell.vehicle_fences import VehicleFences
 
 logger = logging.getLogger(__name__)
 
-TICK_S = 0.5
-LANDING_S = 900.0
-"""How long robots that fly may take to go home and land when the mission is over."""
 LATE_STOP_S = 1.5
 """A stop that takes longer to be shown than over a poor link is an alarm."""
-DUE_SLACK_S = 0.002
-"""Receptions this near to each other are looked at together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +89,14 @@ class Runner:
         self._inbox: asyncio.Queue[tuple[int, int, Event] | BaseException] = asyncio.Queue()
         self._number = 0
         self._stepped = 0
-        self._tick_waits = False
-        self._due_s: deque[float] = deque()
-        """Event loop's times at which a reception can be looked at, in order."""
-        self._due_timer: asyncio.TimerHandle | None = None
-        self.records = MissionRecorder(
-            self.kernel, self.mission.kernel.engine.grid.cell_m, self.recorder, *self.followers
+        kernel = self.mission.kernel
+        self._ticks = Ticks(
+            put=lambda: self.put(Tick(self.setup.clock.now_ns())),
+            has_begun=lambda: self.kernel.started_ns is not None,
+            reception_due_s=kernel.association_window_s + kernel.association_lateness_s,
+            rate=self.setup.clock.rate,
         )
+        self.records = MissionRecorder(self.kernel, kernel.engine.grid.cell_m, self.recorder, *self.followers)
         self.dispatcher = Dispatcher(
             self.setup.links, self.setup.clock, self._note, self.mission.safety.altitude_m
         )
@@ -113,7 +108,7 @@ class Runner:
         self._steered = False
         self._over_reason = ""
         """Why the mission is over; robots that fly may still be on their way home."""
-        self._down_by_ns = self._ended_ns = 0
+        self._landing = Landing(self.safety, self.put, self._note)
         self._resumed_ns = 0
         """When the last event of an interrupted mission came; 0: this one begins."""
 
@@ -129,7 +124,7 @@ class Runner:
                     await stack.enter_async_context(device)
                 stack.push_async_callback(self.dispatcher.close)
                 tasks = [
-                    asyncio.create_task(self._pump(events), name=name) for name, events in self._intake()
+                    asyncio.create_task(self._pump(events), name=name) for name, events in self._streams()
                 ]
                 stack.push_async_callback(_cancel, tasks)
                 stack.push_async_callback(self._leave)
@@ -143,16 +138,10 @@ class Runner:
                 await self._finish(clock.now_ns())
         return self.end_reason
 
-    def _intake(self) -> list[tuple[str, AsyncIterator[Event]]]:
+    def _streams(self) -> list[tuple[str, AsyncIterator[Event]]]:
         """Every device's events, with a name for its task."""
         setup = self.setup
-        placed = {robot for source in setup.positions for robot in source.robots}
-        streams = [(f"receiver {r.robot}", from_receiver(r, setup.clock)) for r in setup.receivers]
-        streams += [(f"link {' '.join(k.robots)}", from_link(k, setup.clock, placed)) for k in setup.links]
-        streams += [
-            (f"positions {' '.join(p.robots)}", from_positions(p, self._note)) for p in setup.positions
-        ]
-        return streams
+        return streams_of(setup.receivers, setup.links, setup.positions, setup.clock, self._note)
 
     async def _next(self) -> tuple[int, int, Event]:
         """What comes next out of the inbox. Raises what one of the tasks has raised."""
@@ -179,46 +168,7 @@ class Runner:
         self.records.event(self._number, t_ns, event)
         self._inbox.put_nowait((self._number, t_ns, event))
         if isinstance(event, RssReading):
-            self._tick_when_due()
-
-    def _tick_when_due(self) -> None:
-        """Where receptions are joined quickly, look as soon as this one can be: not at the next regular tick."""
-        settings = self.mission.kernel
-        wait_s = settings.association_window_s + settings.association_lateness_s
-        if wait_s >= TICK_S:
-            return
-        now_s = asyncio.get_running_loop().time()
-        if not self._due_s or now_s + wait_s / self.setup.clock.rate > self._due_s[-1]:
-            self._due_s.append(now_s + (wait_s + DUE_SLACK_S) / self.setup.clock.rate)
-            self._tick_if_due()
-
-    def _tick_if_due(self) -> None:
-        """Look if something can be looked at, and see to it that this is asked again when the next can be.
-
-        Not while a tick waits already: its time may be too early for what came meanwhile.
-        """
-        if self._due_timer is not None:
-            self._due_timer.cancel()
-            self._due_timer = None
-        if not self._due_s or self._tick_waits:
-            return
-        loop = asyncio.get_running_loop()
-        if self._due_s[0] > loop.time():
-            self._due_timer = loop.call_at(self._due_s[0], self._tick_if_due)
-        elif self.kernel.started_ns is None:
-            self._due_s.clear()
-        else:
-            self._tick()
-
-    def _tick(self) -> None:
-        """A tick into the inbox, unless one waits there."""
-        if self._tick_waits:
-            return
-        self._tick_waits = True
-        now_s = asyncio.get_running_loop().time()
-        while self._due_s and self._due_s[0] <= now_s:
-            self._due_s.popleft()
-        self.put(Tick(self.setup.clock.now_ns()))
+            self._ticks.heard()
 
     def _meant(self, event: Operator) -> list[str]:
         return [robot for robot in self.dispatcher.link_of if event.robot in (None, robot)]
@@ -243,7 +193,7 @@ class Runner:
         for name, why in waits.items():
             self.put(Operator(self.setup.clock.now_ns(), "withdraw", name, why))
         while True:
-            self._tick()
+            self._ticks.tick()
             await self.setup.clock.sleep(TICK_S)
 
     # -- signals ---------------------------------------------------------------------------------------------
@@ -253,7 +203,7 @@ class Runner:
 
     def _signalled_again(self) -> None:
         waits = [f"{name} to hold" for name in self.dispatcher.unconfirmed()]
-        waits += [f"{name} to land" for name in (self._aloft() if self._over_reason else ())]
+        waits += [f"{name} to land" for name in (self._landing.aloft() if self._over_reason else ())]
         self._say(
             f"still waiting for {', '.join(waits) or 'the recording to close'}. Once more leaves at once"
         )
@@ -273,8 +223,7 @@ class Runner:
         self._stepped = number
         look: Look | None = None
         if isinstance(event, Tick):
-            self._tick_waits = False
-            self._tick_if_due()
+            self._ticks.taken()
             self.dispatcher.beat()
             outcome, look = await self._think(event, pool)
         else:
@@ -372,39 +321,19 @@ class Runner:
             elif event.action == "release":
                 self.dispatcher.order(robot, RELEASE)
 
-    def _aloft(self) -> list[str]:
-        """Robots that fly, are ours, and are not known to stand on the ground."""
-        return [
-            name
-            for name in self.mission.safety.altitude_m
-            if (robot := self.safety.robots[name]).vehicle is not None
-            and not robot.somebody_elses
-            and robot.ordered != "release"
-            and robot.vehicle.armed
-            and robot.vehicle.on_ground is not True
-        ]
-
-    def _bring_down(self, now_ns: int) -> None:
-        """The mission is over: what flies goes home, in sequence, and lands. Nothing may hang in the air after us."""
-        self._down_by_ns = now_ns + round(LANDING_S * 1e9)
-        for name in self._aloft():
-            self._note("info", f"{name} goes home and lands: {self._over_reason}")
-            self.put(Operator(self.setup.clock.now_ns(), "return", name, "the mission is over"))
-
     def _end_when_down(self, now_ns: int, event: Event) -> None:
-        """End once nothing of ours flies, when it takes too long, or when the operator says so once more."""
-        again = isinstance(event, Operator) and event.action == "end" and event.t_ns > self._ended_ns
-        self._ended_ns = self._ended_ns or now_ns
-        if aloft := self._aloft():
-            if not again and now_ns < self._down_by_ns:
-                return
+        """End once nothing of ours is waited for in the air; who is left there is named."""
+        over, aloft = self._landing.is_over(now_ns, event)
+        if not over:
+            return
+        if aloft:
             self._say(f"STILL IN THE AIR: {', '.join(aloft)}: they hold where they are; land them by hand")
         self.end_reason = self._over_reason
 
     def _carry_out(self, command: Command) -> None:
         if isinstance(command, EndMission):
             self._over_reason = command.reason
-            self._bring_down(command.t_ns)
+            self._landing.begin(command.t_ns, self.setup.clock.now_ns(), command.reason)
             return
         if isinstance(command, CallOperator):
             self._doing[command.robot] = f"needs the operator: {command.reason}"

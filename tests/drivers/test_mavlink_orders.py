@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 from benches import until
-from test_mavlink_fleet import here, is_command, team
+from fleet_bench import here, is_command, team
 
 from drivers.emulators.profiles import COPTER, PX4
 from drivers.emulators.rover import GUIDED, HOLD

@@ -188,14 +188,14 @@ def test_a_mistake_in_the_kernel_holds_the_vehicles(tmp_path: Path, monkeypatch:
 
     from mission.core.kernel import Kernel
 
-    genuine = Kernel._finished
+    genuine = Kernel._reason_to_end
 
     def fails(kernel: Kernel, now_ns: int, detections: bool) -> str:
         if kernel.elapsed_s(now_ns) > 5.0:
             raise ZeroDivisionError("a mistake")
         return genuine(kernel, now_ns, detections)
 
-    monkeypatch.setattr(Kernel, "_finished", fails)
+    monkeypatch.setattr(Kernel, "_reason_to_end", fails)
     with pytest.raises(ZeroDivisionError):
         fly(tmp_path, setup_of=keep)
     assert set(fleets[0]._mode.values()) == {"hold"}

@@ -1,0 +1,52 @@
+"""The end of a mission with robots in the air: they go home and land first. Nothing may hang in the air after us."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from fieldkit.messages import Event, Operator
+from mission.safety.rules import Safety
+from mission.shell.dispatcher import Note
+
+LANDING_S = 900.0
+"""How long robots that fly may take to go home and land when the mission is over."""
+
+
+@dataclass
+class Landing:
+    """What is still up, and until when is waited for it."""
+
+    safety: Safety
+    put: Callable[[Event], None]
+    note: Note
+    _by_ns: int = 0
+    _ended_ns: int = 0
+    """When the mission was first seen to be over."""
+
+    def aloft(self) -> list[str]:
+        """Robots that fly, are ours, and are not known to stand on the ground."""
+        return [
+            name
+            for name in self.safety.settings.altitude_m
+            if (robot := self.safety.robots[name]).vehicle is not None
+            and not robot.somebody_elses
+            and robot.ordered != "release"
+            and robot.vehicle.armed
+            and robot.vehicle.on_ground is not True
+        ]
+
+    def begin(self, over_ns: int, now_ns: int, reason: str) -> None:
+        """What flies goes home, in sequence, and lands. The mission is over since `over_ns`."""
+        self._by_ns = over_ns + round(LANDING_S * 1e9)
+        for name in self.aloft():
+            self.note("info", f"{name} goes home and lands: {reason}")
+            self.put(Operator(now_ns, "return", name, "the mission is over"))
+
+    def is_over(self, now_ns: int, event: Event) -> tuple[bool, list[str]]:
+        """Whether nothing of ours is waited for any more, and who is left in the air.
+
+        That is once nothing flies, when it takes too long, or when the operator says so once more.
+        """
+        again = isinstance(event, Operator) and event.action == "end" and event.t_ns > self._ended_ns
+        self._ended_ns = self._ended_ns or now_ns
+        aloft = self.aloft()
+        return not aloft or again or now_ns >= self._by_ns, aloft
