@@ -1,7 +1,7 @@
 """What the engine is told before a mission; checked once here, trusted inside."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -11,6 +11,7 @@ from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.grid import Grid
 from fieldkit.errors import ConfigError
 from fieldkit.geometry.polygons import NOWHERE, KeepOut
+from fieldkit.tuning import Tuning
 
 SENSING = ("levels", "pairwise", "directional")
 
@@ -60,6 +61,9 @@ class EngineSettings:
     """DPRWA only: ridges further apart than this are toured in separate groups, each by pairs of its own."""
     normalised_entropy: bool = False
     """PRWA only: choose the spacing by P(C_i^1), a distribution, not by P(C_i) as eq 25 prints it."""
+
+    tuning: Tuning = field(default_factory=Tuning)
+    """What belief and planner are tuned by."""
 
     def __post_init__(self) -> None:
         if not self.power_levels_db:

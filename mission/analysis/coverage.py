@@ -7,8 +7,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from fieldkit.channel.model import Antenna
-from fieldkit.engine.likelihood.levels import PACKET_LOSS
 from fieldkit.messages import FloatArray
+from fieldkit.tuning import LikelihoodTuning
 
 CELLS = 50
 """Along the longer side: finer than anybody looks."""
@@ -100,7 +100,7 @@ def _p_hear(antenna: Antenna, range_m: FloatArray, level_db: float) -> FloatArra
     )
     mean = antenna.mean_rss_dbm(range_m, level_db) + gain_db
     heard = ndtr((mean - antenna.threshold_dbm - 0.5) / antenna.sigma_db)
-    return np.asarray((1.0 - PACKET_LOSS) * heard.mean(axis=0))
+    return np.asarray((1.0 - LikelihoodTuning().packet_loss) * heard.mean(axis=0))
 
 
 def _where(track: FloatArray, t_s: float) -> tuple[float, float] | None:

@@ -17,8 +17,10 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr, logsumexp, ndtr
 
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
-from fieldkit.engine.likelihood.levels import OUTLIER_WIDTH, OUTLIERS, PACKET_LOSS
 from fieldkit.messages import Detection, FloatArray, SourceEstimate
+from fieldkit.tuning import LikelihoodTuning
+
+RADIO = LikelihoodTuning()
 
 ROUNDS = 8
 CLUTTER = 0.02
@@ -90,11 +92,13 @@ def log_likelihood(
     """(d,) log p(what the team heard of each transmission | it came from there at that power)."""
     mean, sigma = predicted(heard, antenna, east_m, north_m, power_db, place_sigma_m)
     t = np.nan_to_num((heard.rss_dbm - mean) / sigma)
-    core = np.log1p(-OUTLIERS) - 0.5 * t**2
-    tail = np.log(OUTLIERS / OUTLIER_WIDTH) - 0.5 * (t / OUTLIER_WIDTH) ** 2
+    core = np.log1p(-RADIO.outliers) - 0.5 * t**2
+    tail = np.log(RADIO.outliers / RADIO.outlier_width) - 0.5 * (t / RADIO.outlier_width) ** 2
     level = np.logaddexp(core, tail) - np.log(sigma * np.sqrt(2.0 * np.pi))
     at_least = log_ndtr(-(heard.rss_dbm - 0.5 - mean) / sigma)
-    silent = np.log(PACKET_LOSS + (1.0 - PACKET_LOSS) * ndtr((antenna.threshold_dbm + 0.5 - mean) / sigma))
+    silent = np.log(
+        RADIO.packet_loss + (1.0 - RADIO.packet_loss) * ndtr((antenna.threshold_dbm + 0.5 - mean) / sigma)
+    )
     each = np.where(np.isnan(heard.rss_dbm), silent, np.where(heard.saturated, at_least, level))
     result: FloatArray = np.where(heard.listened, each, 0.0).sum(axis=1)
     return result

@@ -17,6 +17,7 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.geo import FieldFrame
 from fieldkit.geometry.polygons import KeepOut
+from fieldkit.tuning import Tuning
 from mission.core.kernel_settings import KernelSettings
 from mission.core.tables import MissionFile, rectangle
 from mission.safety.rules import SafetySettings
@@ -180,8 +181,18 @@ def _spread(file: MissionFile, antenna: AntennaFile, where: str) -> ChannelSprea
     return antenna.spread
 
 
-def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: str, where: str) -> Mission:
-    """Settings for every part, from a checked file and its antenna. Raises `ConfigError`."""
+def assemble(
+    file: MissionFile,
+    text: str,
+    antenna: AntennaFile,
+    antenna_text: str,
+    where: str,
+    tuning: Tuning = Tuning(),
+) -> Mission:
+    """Settings for every part, from a checked file and its antenna. Raises `ConfigError`.
+
+    `tuning` holds where the file says nothing: that of a recording, for one that is replayed.
+    """
     field = file.field
     # The calibration's own uncertainty widens every reading; at the range where most readings are made.
     typical_m = float(np.median(antenna.antenna.nominal_range_m(np.array(file.sources.power_levels_db))))
@@ -211,6 +222,7 @@ def assemble(file: MissionFile, text: str, antenna: AntennaFile, antenna_text: s
         directional_form=file.engine.directional_form,
         group_gap_m=file.engine.group_gap_m,
         normalised_entropy=file.engine.normalised_entropy,
+        tuning=tuning.with_tables(file.tuning),
     )
     kernel = KernelSettings(
         engine,

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import shapely
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from fieldkit import settings as given
 from fieldkit.geometry.polygons import KeepOut, Place, fault_of
 from fieldkit.settings import Quantity
+from fieldkit.tuning import Tuning
 
 NEAR_DEG = 0.05
 """Corners as near as this to the origin's latitude and longitude are degrees, not metres."""
@@ -274,6 +275,8 @@ class MissionFile(Table):
     sources: SourcesTable = SourcesTable()
     engine: EngineTable = EngineTable()
     association: AssociationTable = AssociationTable()
+    tuning: dict[str, dict[str, Any]] = {}
+    """Values of `fieldkit.tuning` set anew, by table and key; for studies and what-ifs."""
     end: EndTable = EndTable()
     recording: RecordingTable = RecordingTable()
     safety: SafetyTable = SafetyTable()
@@ -307,6 +310,12 @@ class MissionFile(Table):
             layers[robot.name] = height_m
             taken.append(height_m)
         return layers
+
+    @field_validator("tuning")
+    @classmethod
+    def _tuned(cls, tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        Tuning().with_tables(tables)
+        return tables
 
     @model_validator(mode="after")
     def _leaves_room(self) -> "MissionFile":

@@ -140,7 +140,11 @@ def fly_simulated(
                 recording,
                 mission_toml=mission.text,
                 antenna_toml=mission.antenna_text,
-                metadata={**metadata, "truth": [_plain(source) for source in truth.sources]},
+                metadata={
+                    **metadata,
+                    "tuning": mission.kernel.engine.tuning.tables(),
+                    "truth": [_plain(source) for source in truth.sources],
+                },
                 frame=mission.frame,
             )
         )

@@ -15,12 +15,13 @@ from fieldkit.errors import ConfigError, DataError, RecordingError, ReplayMismat
 from fieldkit.messages import Command, Event
 from fieldkit.recording.reader import Recording, Step, open_recording
 from fieldkit.recording.schema import software
+from fieldkit.tuning import Tuning
 from mission.core.kernel import Kernel, Outcome, state_digest
 from mission.core.mission_file import Mission, assemble, parse_mission
 from mission.safety.rules import Safety
 from mission.shell.recorder import Follower, MissionRecorder
 
-WHAT_IF = ("engine", "sources", "association", "end", "safety")
+WHAT_IF = ("engine", "sources", "association", "end", "safety", "tuning")
 """Tables of the mission file that a what-if may change: the field, robots and antenna file are what was there."""
 
 
@@ -56,7 +57,13 @@ def recorded_mission(
     if antenna is None:
         antenna_text = recording.antenna_toml
         antenna = parse_antenna(tomllib.loads(antenna_text), f"{recording.path} (recorded antenna.toml)")
-    return assemble(file, recording.mission_toml, antenna, antenna_text, where)
+    try:
+        tuning = Tuning().with_tables(recording.metadata.get("tuning", {}))
+    except ValueError as error:
+        raise RecordingError(
+            f"{where}: {error}; fieldkit {recording.fieldkit_version}, which made it, can replay it"
+        ) from error
+    return assemble(file, recording.mission_toml, antenna, antenna_text, where, tuning)
 
 
 def resumable(recording: Recording) -> Mission:
@@ -220,7 +227,8 @@ def what_if(
         return mission
     text = changed(mission.text, changes)
     file = parse_mission(text, f"{mission.where} with {', '.join(changes)}")
-    return assemble(file, text, mission.antenna, mission.antenna_text, mission.where)
+    tuning = mission.kernel.engine.tuning
+    return assemble(file, text, mission.antenna, mission.antenna_text, mission.where, tuning)
 
 
 def _named(key: str, name: str | None) -> list[str]:

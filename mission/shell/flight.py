@@ -34,7 +34,12 @@ def fly(
 
     With `past`, the recording of a mission that was interrupted, it goes on from there; the new recording holds all.
     """
-    metadata: dict[str, Any] = {"mission": mission.file.name, "seed": mission.file.seed, **(extra or {})}
+    metadata: dict[str, Any] = {
+        "mission": mission.file.name,
+        "seed": mission.file.seed,
+        "tuning": mission.kernel.engine.tuning.tables(),
+        **(extra or {}),
+    }
     if truth:
         metadata["truth"] = [
             {"east_m": s.east_m, "north_m": s.north_m, "power_db": s.power_db, "rate_hz": s.rate_hz}

@@ -10,11 +10,13 @@ from scipy.special import logsumexp
 
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, starts
-from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate
+from fieldkit.engine.belief.intensity.candidate import Candidate
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
 from fieldkit.engine.planning import path_loops
+from fieldkit.tuning import IntensityTuning
 
 PRIOR_S = 20.0
+TUNING = IntensityTuning()
 
 
 def some_candidates(rng: np.random.Generator, count: int, detections: int) -> list[Candidate]:
@@ -30,6 +32,7 @@ def some_candidates(rng: np.random.Generator, count: int, detections: int) -> li
             rng.uniform(0, 300, (levels, points)),
             0.5,
             arena,
+            TUNING,
         )
         for number in range(detections):
             if rng.random() < 0.8:
@@ -55,7 +58,7 @@ def plain_pass(
             others = candidate.receptions - candidate.share[number]
             without = candidate.log_posterior() - candidate.share[number] * candidate.logs[number].array
             predicted = logsumexp(without + candidate.logs[number].array) - logsumexp(without)
-            terms.append(np.log((RATE_SHAPE + others) / (PRIOR_S + seen)) + predicted)
+            terms.append(np.log((TUNING.rate_shape + others) / (PRIOR_S + seen)) + predicted)
         shares = np.exp(terms - logsumexp(terms))
         unclaimed.append(float(shares[0]) if near else 1.0)
         explained.append(float(logsumexp(terms[1:])))
@@ -81,6 +84,7 @@ def test_a_pass_shares_detections_out_as_plain_numpy_does(seed: int, count: int,
         unknown,
         clutter,
         lambda: seen,
+        TUNING.rate_shape,
         PRIOR_S,
         left,
         passes=1,

@@ -25,6 +25,7 @@ from fieldkit.engine.likelihood.directional import (
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Detection
+from fieldkit.tuning import Tuning
 
 VECTORS = {
     v["id"]: v
@@ -125,12 +126,11 @@ def test_an_antenna_without_a_pattern_is_refused_for_directional_sensing_and_the
 
 
 @pytest.mark.parametrize("rule", ["literal", "uniform", "dirichlet"])
-def test_two_events_on_nine_cells_match_the_reference(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fieldkit.engine.belief import spog
-
+def test_two_events_on_nine_cells_match_the_reference(rule: str) -> None:
     vector = VECTORS["spog_3x3"]
-    monkeypatch.setattr(spog, "DIRICHLET_ALPHA", 1.0)
-    settings = EngineSettings(Grid(1.5, 1.5, 0.5), Antenna(2.5, -40, 3.3, -90), (("r",),), prior_rule=rule)
+    tuning = Tuning().with_tables({"paper_beliefs": {"dirichlet_alpha": 1.0}})
+    antenna = Antenna(2.5, -40, 3.3, -90)
+    settings = EngineSettings(Grid(1.5, 1.5, 0.5), antenna, (("r",),), prior_rule=rule, tuning=tuning)
     belief = SpogBelief(settings)
     belief.update(np.log(vector["input"]["L1"]))
     assert belief.presence().ravel() == pytest.approx(vector["expect"]["P1"], abs=1e-9)

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from fieldkit.channel.model import Antenna
-from fieldkit.engine.belief import spog, spog_loops
+from fieldkit.engine.belief import spog_loops
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
+from fieldkit.tuning import Tuning
 
 
 def test_compiled_sweeps_are_em() -> None:
@@ -29,9 +30,11 @@ def test_compiled_sweeps_are_em() -> None:
     assert absent == pytest.approx(settled + np.log1p(-share).sum(axis=0), rel=1e-9)
 
 
-def test_events_beyond_the_limit_keep_their_last_attribution(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spog, "MAX_EVENTS", 20)
-    belief = SpogBelief(EngineSettings(Grid(5.0, 5.0, 0.5), Antenna(2.5, -50, 3.3, -70), (("a",),)))
+def test_events_beyond_the_limit_keep_their_last_attribution() -> None:
+    few = Tuning().with_tables({"paper_beliefs": {"max_events": 20}})
+    belief = SpogBelief(
+        EngineSettings(Grid(5.0, 5.0, 0.5), Antenna(2.5, -50, 3.3, -70), (("a",),), tuning=few)
+    )
     rng = np.random.default_rng(1)
     for _ in range(100):
         log = np.full(100, -30.0)

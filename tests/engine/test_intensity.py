@@ -9,11 +9,11 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 
 from fieldkit.channel.model import Antenna
-from fieldkit.engine.belief.intensity import mixture
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, Listening
+from fieldkit.tuning import Tuning
 from fieldkit.world.channel import sample_rss_dbm
 
 ANTENNA = Antenna(2.53, -62.0, 3.3, -70.0)
@@ -225,10 +225,10 @@ def test_same_calls_give_the_same_digest_and_others_another() -> None:
     assert told(1) != told(2)
 
 
-def test_cost_does_not_grow_with_the_number_of_detections(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cost_does_not_grow_with_the_number_of_detections() -> None:
     """Old detections are folded into their sources; the find stays, and so does its count."""
-    monkeypatch.setattr(mixture, "MAX_OPEN", 20)
-    belief = IntensityBelief(FIELD)
+    few = Tuning().with_tables({"intensity": {"max_open": 20}})
+    belief = IntensityBelief(replace(FIELD, tuning=few))
     feed(belief, [((3.0, 4.0), 0.0)], np.random.default_rng(4), 60)
     assert len(belief.mixture.open) <= 20
     (found,) = [s for s in belief.sources() if s.state == "found"]

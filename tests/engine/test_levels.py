@@ -9,9 +9,12 @@ from scipy.stats import norm
 
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.engine.likelihood import levels_loops
-from fieldkit.engine.likelihood.levels import OUTLIER_WIDTH, OUTLIERS, PACKET_LOSS, LevelsModel
+from fieldkit.engine.likelihood.levels import LevelsModel
 from fieldkit.messages import Detection
+from fieldkit.tuning import LikelihoodTuning
 from fieldkit.world.channel import sample_rss_dbm
+
+RADIO = LikelihoodTuning()
 
 ANTENNA = Antenna(2.53, -62.0, 3.3, -70.0, -36.0)
 LEVELS = (-8.0, -4.0, 0.0)
@@ -40,17 +43,17 @@ def twin(model: LevelsModel, d: Detection, point: np.ndarray, level_dbm: float) 
         smear = 25.3 / np.log(10) * model.place_sigma_m / np.hypot(distance, model.place_sigma_m)
         sigma = np.hypot(3.3, smear)
         if np.isnan(rss):
-            p = PACKET_LOSS + (1 - PACKET_LOSS) * norm.cdf(-70.0 + 0.5, mean, sigma)
+            p = RADIO.packet_loss + (1 - RADIO.packet_loss) * norm.cdf(-70.0 + 0.5, mean, sigma)
         elif saturated:
-            p = (1 - PACKET_LOSS) * (
-                (1 - OUTLIERS) * norm.sf(rss - 0.5, mean, sigma)
-                + OUTLIERS * norm.sf(rss - 0.5, mean, OUTLIER_WIDTH * sigma)
+            p = (1 - RADIO.packet_loss) * (
+                (1 - RADIO.outliers) * norm.sf(rss - 0.5, mean, sigma)
+                + RADIO.outliers * norm.sf(rss - 0.5, mean, RADIO.outlier_width * sigma)
             )
         else:
             wide = np.sqrt(sigma**2 + 1 / 12)
-            p = (1 - PACKET_LOSS) * (
-                (1 - OUTLIERS) * norm.pdf(rss, mean, wide)
-                + OUTLIERS * norm.pdf(rss, mean, OUTLIER_WIDTH * wide)
+            p = (1 - RADIO.packet_loss) * (
+                (1 - RADIO.outliers) * norm.pdf(rss, mean, wide)
+                + RADIO.outliers * norm.pdf(rss, mean, RADIO.outlier_width * wide)
             )
         total += np.log(p)
     return total
@@ -88,7 +91,9 @@ def test_hearing_probability_matches_the_simulated_channel(power: float, distanc
     model = LevelsModel(ANTENNA, LEVELS, 0.001)
     rng = np.random.default_rng(1)
     heard = ~np.isnan(sample_rss_dbm(ANTENNA, np.full(4000, distance), power, rng))
-    predicted = float(np.exp(model.log_hear(np.array(distance), np.array(-62.0 + power)))) / (1 - PACKET_LOSS)
+    predicted = float(np.exp(model.log_hear(np.array(distance), np.array(-62.0 + power)))) / (
+        1 - RADIO.packet_loss
+    )
     assert heard.mean() == pytest.approx(predicted, abs=0.04)
 
 

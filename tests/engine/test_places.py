@@ -11,11 +11,14 @@ from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.likelihood import levels_loops
-from fieldkit.engine.likelihood.levels import OUTLIER_WIDTH, OUTLIERS, PACKET_LOSS, LevelsModel
+from fieldkit.engine.likelihood.levels import LevelsModel
 from fieldkit.engine.likelihood.places import DEEPEST, Earlier, PlaceNoise, levels_of, redundancy
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, Listening
+from fieldkit.tuning import LikelihoodTuning, Tuning
 from fieldkit.world.shadowing import ShadowField
+
+RADIO = LikelihoodTuning()
 
 LEVELS = (-8.0, -4.0, 0.0)
 SPREAD = ChannelSpread(2.0, 4.0, 3.0, transmitter_db=0.1)
@@ -84,13 +87,16 @@ def twin(model, d, point, level_dbm, earlier):
         sigma = np.sqrt(left + smear**2 / (range2 + model.place_sigma_m**2))
         mean = level_dbm - 12.65 * np.log10(range2) + shift
         if np.isnan(d.rss_dbm[q]):
-            total += np.log(PACKET_LOSS + (1 - PACKET_LOSS) * norm.cdf(-79.5, mean, sigma))
+            total += np.log(RADIO.packet_loss + (1 - RADIO.packet_loss) * norm.cdf(-79.5, mean, sigma))
             continue
         wide = np.sqrt(sigma**2 + 1.0 / 12.0)
         z = d.rss_dbm[q]
         total += np.log(
-            (1 - PACKET_LOSS)
-            * ((1 - OUTLIERS) * norm.pdf(z, mean, wide) + OUTLIERS * norm.pdf(z, mean, OUTLIER_WIDTH * wide))
+            (1 - RADIO.packet_loss)
+            * (
+                (1 - RADIO.outliers) * norm.pdf(z, mean, wide)
+                + RADIO.outliers * norm.pdf(z, mean, RADIO.outlier_width * wide)
+            )
         )
         place, rss = [*place, at], [*rss, z]
     return total
@@ -204,12 +210,10 @@ def test_a_find_is_two_metres_or_a_tenth_of_the_range_where_places_make_noise():
     assert engine(found_within_m=0.7).find_radius_m == 0.7
 
 
-def test_a_source_heard_often_makes_no_other_be_forgotten(monkeypatch):
+def test_a_source_heard_often_makes_no_other_be_forgotten():
     """The open detections are few here, so that it does not take three hundred packets."""
-    from fieldkit.engine.belief.intensity import mixture
-
-    monkeypatch.setattr(mixture, "MAX_OPEN", 36)
-    belief = IntensityBelief(engine(spread=None, found_within_m=None))
+    few = Tuning().with_tables({"intensity": {"max_open": 36}})
+    belief = IntensityBelief(engine(spread=None, found_within_m=None, tuning=few))
     rng = np.random.default_rng(9)
 
     def packets(source, count):

@@ -17,7 +17,7 @@ from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.likelihood.pairwise import attenuation_db, log_e10, log_e11
 from fieldkit.engine.planning.base import Situation, abreast, track
-from fieldkit.engine.planning.infogain import HORIZON_S, InfoGainPlanner, blocks_summed
+from fieldkit.engine.planning.infogain import InfoGainPlanner, blocks_summed
 from fieldkit.engine.planning.prwa import cluster_ridges
 from fieldkit.engine.planning.ridges import Ridge, farthest_pair, find_ridges
 from fieldkit.engine.planning.spacing import best_spacing_m, spacing_entropies
@@ -78,7 +78,7 @@ def test_infogain_keeps_teams_apart() -> None:
     for team in engine.teams:
         begin = np.array([start.position_m[r] for r in team])
         places = np.array([[(w.east_m, w.north_m) for w in plan.paths[r]] for r in team]).transpose(1, 0, 2)
-        tracks[team] = track(places, begin, engine.max_speed_m_s, 1.5, HORIZON_S)
+        tracks[team] = track(places, begin, engine.max_speed_m_s, 1.5, engine.tuning.infogain.horizon_s)
     for first, second in pairwise(tracks.values()):
         gaps = np.hypot(*(first[:, :, None] - second[:, None]).transpose(3, 0, 1, 2))
         assert gaps.min() >= min(1.0, gaps[0].min()) - 1e-6

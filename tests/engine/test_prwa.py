@@ -8,9 +8,10 @@ import pytest
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.dprwa import DprwaPlanner
-from fieldkit.engine.planning.prwa import LEVEL, PrwaPlanner
+from fieldkit.engine.planning.prwa import PrwaPlanner
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Plan
+from fieldkit.tuning import RidgeTuning
 from mission.lab.bench import random_detection, settings
 
 TEAMS = (("a", "b"), ("c", "d"), ("e",))
@@ -67,11 +68,11 @@ def test_as_many_teams_walk_ridges_as_there_are_components(
 def test_a_fresh_belief_has_no_level_set_and_one_transmission_may_make_one() -> None:
     made = engine()
     known = SpogBelief(made)
-    assert known.presence().max() < LEVEL
+    assert known.presence().max() < RidgeTuning().prwa_level
     assert walks_ridges(plan(made, known), made) == 0
     for seed in range(12):
         known.detect(random_detection(made, np.random.default_rng(seed), 4))
-    assert known.presence().max() > LEVEL
+    assert known.presence().max() > RidgeTuning().prwa_level
     assert walks_ridges(plan(made, known), made) >= 1
 
 

@@ -22,6 +22,7 @@ from fieldkit.engine.planning.schedule import ridge_schedule
 from fieldkit.engine.planning.tour import off_ridge_m, ridge_tour, time_on_ridges_s
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.geometry.polygons import KeepOut
+from fieldkit.tuning import RidgeTuning
 
 VECTORS = {
     v["id"]: v
@@ -43,7 +44,7 @@ def reference_presence() -> np.ndarray:
 def test_level_ridges_tour_and_times_match_the_reference() -> None:
     expected = VECTORS["rwa"]["expect"]
     presence = reference_presence()
-    assert level_of(presence) == pytest.approx(expected["p"], abs=1e-12)
+    assert level_of(presence, RidgeTuning().rwa_level) == pytest.approx(expected["p"], abs=1e-12)
     assert ndimage.label(presence >= expected["p"], EIGHT)[1] == expected["ncomp8"]
     assert ndimage.label(presence >= expected["p"])[1] == expected["ncomp4"]
     ridges = find_ridges(presence, presence, expected["p"], Grid(50 * CELL, 50 * CELL, CELL))
@@ -158,7 +159,7 @@ def test_a_place_walled_in_cannot_be_reached_and_is_left_out() -> None:
             ((6.7, 4.0), (7.0, 4.0), (7.0, 7.0), (6.7, 7.0)),
         )
     )
-    detours = Detours(Grid(10.0, 10.0, 0.5), box)
+    detours = Detours(Grid(10.0, 10.0, 0.5), box, 0.0, 0.25)
     assert detours.way(np.array([1.0, 1.0]), np.array([5.5, 5.5])) is None
     assert detours.way(np.array([1.0, 1.0]), np.array([4.1, 5.5])) is None
     way = detours.way(np.array([1.0, 5.5]), np.array([9.0, 5.5]))

@@ -13,12 +13,15 @@ from fieldkit import plugins
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.planning.base import Situation
-from fieldkit.engine.planning.detour import CLEARANCE_M, MOST_CELLS, Detours
+from fieldkit.engine.planning.detour import MOST_CELLS, Detours
 from fieldkit.engine.planning.dprwa import DprwaPlanner
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.geometry.polygons import KeepOut, Polygon
 from fieldkit.messages import Plan
+from fieldkit.tuning import RidgeTuning
 from mission.lab.bench import settings
+
+CLEARANCE_M = RidgeTuning().clearance_m
 
 OTHERS = [name for name in plugins.names("fieldkit.planners") if name != "infogain"]
 WALL = KeepOut((((11.0, -1.0), (12.0, -1.0), (12.0, 20.0), (11.0, 20.0)),))
@@ -161,7 +164,10 @@ def test_the_ring_leads_round_and_its_lap_counts_the_detour() -> None:
 
 def test_large_fields_are_walked_on_larger_cells() -> None:
     detours = Detours(
-        Grid(500.0, 500.0, 0.5), KeepOut((((200.0, -1.0), (210.0, -1.0), (210.0, 400.0), (200.0, 400.0)),))
+        Grid(500.0, 500.0, 0.5),
+        KeepOut((((200.0, -1.0), (210.0, -1.0), (210.0, 400.0), (200.0, 400.0)),)),
+        0.0,
+        CLEARANCE_M,
     )
     assert detours.grid.n_cells <= 1.1 * MOST_CELLS
     way = detours.way(np.array([100.0, 50.0]), np.array([300.0, 50.0]))
@@ -175,7 +181,7 @@ def test_large_fields_are_walked_on_larger_cells() -> None:
 def test_ways_keep_off_the_shore_where_there_is_room_and_go_through_gaps_where_there_is_none() -> None:
     pond = KeepOut((((8.0, 8.0), (14.0, 8.0), (14.0, 12.0), (8.0, 12.0)),))
     start, end = np.array([5.0, 10.0]), np.array([18.0, 10.0])
-    way = Detours(Grid(25.0, 25.0, 0.5), pond).way(start, end)
+    way = Detours(Grid(25.0, 25.0, 0.5), pond, 0.0, CLEARANCE_M).way(start, end)
     assert way is not None
     corners = np.concatenate([start[None], way])
     assert pond.distance_m(corners[:-1], corners[1:]).min() >= CLEARANCE_M - 1e-6
@@ -185,10 +191,12 @@ def test_ways_keep_off_the_shore_where_there_is_room_and_go_through_gaps_where_t
             ((10.0, 10.1), (11.0, 10.1), (11.0, 26.0), (10.0, 26.0)),
         )
     )
-    through = Detours(Grid(15.0, 15.0, 0.2), gap).way(np.array([5.0, 3.0]), np.array([14.0, 10.0]))
+    through = Detours(Grid(15.0, 15.0, 0.2), gap, 0.0, CLEARANCE_M).way(
+        np.array([5.0, 3.0]), np.array([14.0, 10.0])
+    )
     assert through is not None
     corners = np.concatenate([[[5.0, 3.0]], through])
     assert not gap.blocks(corners[:-1], corners[1:]).any()
     near = np.array([7.9, 10.0])  # a goal nearer to the shore than that is driven to all the same
-    straight = Detours(Grid(25.0, 25.0, 0.5), pond).way(start, near)
+    straight = Detours(Grid(25.0, 25.0, 0.5), pond, 0.0, CLEARANCE_M).way(start, near)
     assert straight is not None and straight[-1].tolist() == near.tolist()

@@ -15,12 +15,6 @@ from fieldkit.engine.likelihood.csma import busy_collision_probability, packet_s
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
 
-PACKET_S = 0.005
-"""Length of a packet: 802.15.4 sends its longest, 133 bytes at 250 kbit/s, in 4.3 ms."""
-VULNERABLE = 0.02
-"""a: in packet lengths; the paper's figure 7."""
-PARTICLES = 5000
-
 
 class CsmaBelief:
     """See the module."""
@@ -28,7 +22,7 @@ class CsmaBelief:
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self.grid = settings.grid
-        antenna = settings.antenna
+        antenna, tuning = settings.antenna, settings.tuning.paper_beliefs
         sources = max(1, round(settings.expected_sources))
         gain_db = antenna.gain_db(-np.arange(0.0, 360.0, 1.0))  # counter-clockwise here, clockwise there
         power_dbm = antenna.power_at_1m_dbm + max(settings.power_levels_db)
@@ -41,9 +35,11 @@ class CsmaBelief:
         )
         size = (self.grid.size_east_m, self.grid.size_north_m)
         rng = np.random.default_rng([settings.seed, 0xC5A])
-        self.filter = ParticleFilter(size, sources, strength, rng, PARTICLES, self.grid.cell_m / 2.0)
-        load = sources * settings.reference_rate_hz * PACKET_S
-        self._shares = packet_shares(busy_collision_probability(load, VULNERABLE), sources)
+        self.filter = ParticleFilter(
+            size, sources, strength, rng, tuning.csma_particles, self.grid.cell_m / 2.0
+        )
+        load = sources * settings.reference_rate_hz * tuning.csma_packet_s
+        self._shares = packet_shares(busy_collision_probability(load, tuning.csma_vulnerable), sources)
         self._readings = 0
 
     def detect(self, detection: Detection) -> None:

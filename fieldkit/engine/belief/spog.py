@@ -29,10 +29,6 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
 
-DIRICHLET_ALPHA = 5.0
-EM_SWEEPS = 5
-MAX_EVENTS = 2000
-"""`em` re-attributes at most this many events; when there are more, the older half keeps its last attribution."""
 RULES = ("literal", "uniform", "dirichlet", "em")
 EIGHT = np.ones((3, 3), dtype=int)
 """Cells that touch at a corner are one component."""
@@ -44,7 +40,7 @@ class SpogBelief:
     def __init__(self, settings: EngineSettings) -> None:
         if settings.prior_rule not in RULES:
             raise ConfigError(f"prior_rule: expected one of {', '.join(RULES)}, got {settings.prior_rule!r}")
-        self.settings = settings
+        self.settings, self._tuning = settings, settings.tuning.paper_beliefs
         self.grid = settings.grid
         n = self.grid.n_cells
         centres = self.grid.centres_m
@@ -100,8 +96,8 @@ class SpogBelief:
                 log_weight -= np.log(total)
                 self.log_prior = log_weight
             case "dirichlet":
-                pseudo = self._sum_p1 + DIRICHLET_ALPHA / n
-                pseudo /= DIRICHLET_ALPHA + self._events
+                pseudo = self._sum_p1 + self._tuning.dirichlet_alpha / n
+                pseudo /= self._tuning.dirichlet_alpha + self._events
                 self.log_prior = np.log(pseudo, out=pseudo)
             case _:
                 pass  # uniform: as it was
@@ -118,11 +114,13 @@ class SpogBelief:
         stored = self._likelihoods[: self._stored]
         pi = np.exp(self.log_prior)
         # One pseudo-event spread over the field keeps every cell alive.
-        spog_loops.em_sweeps(stored, 1.0 / n + self._settled_p1, 1.0 + self._events, EM_SWEEPS, pi)
+        spog_loops.em_sweeps(
+            stored, 1.0 / n + self._settled_p1, 1.0 + self._events, self._tuning.em_sweeps, pi
+        )
         self.log_prior = np.log(pi)
         self.log_absent = np.empty(n)
         spog_loops.em_absent(stored, pi, self._settled, self.log_absent)
-        if self._stored > MAX_EVENTS:  # the older half keeps its last attribution
+        if self._stored > self._tuning.max_events:  # the older half keeps its last attribution
             half = self._stored // 2
             share = stored[:half] * pi
             share /= share.sum(axis=1, keepdims=True)

@@ -26,32 +26,26 @@ from scipy.special import log_ndtr, logsumexp, ndtr
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.messages import Detection, FloatArray
+from fieldkit.tuning import LikelihoodTuning
 
-PACKET_LOSS = 0.02
-OUTLIERS = 0.02
-OUTLIER_WIDTH = 2.5
-OUTSIDE_DB = (4.0, 8.0, 12.0)
-"""How far beyond the weakest and strongest known level the hypotheses of a wrong power set lie."""
-PRIOR_OUTSIDE = 0.04
-PRIOR_VARYING = 0.1
 UNHEARD = 1e-5
 """A packet heard so rarely says nothing by its absence."""
-_SILENT_FROM, _PER_SIGMA = -10.0, 100.0
+SILENT_FROM, PER_SIGMA = -10.0, 100.0
 _STEPS = 4096
 """Steps of the hearing tables in squared distance, out to `reach_m`."""
 
 
-@lru_cache(maxsize=1)
-def _tables() -> tuple[FloatArray, FloatArray]:
+@lru_cache(maxsize=4)
+def tables(tuning: LikelihoodTuning) -> tuple[FloatArray, FloatArray]:
     """log P(silent) by standard deviations above the threshold, and the log of the heard density's shape by |t|.
 
     Linear in between is right to 2e-5 nats.
     """
-    x = np.arange(_SILENT_FROM, 14.0, 1.0 / _PER_SIGMA)
-    silent = np.log(PACKET_LOSS + (1.0 - PACKET_LOSS) * ndtr(-x))
-    t = np.arange(0.0, 80.0, 1.0 / _PER_SIGMA)
-    core = np.log1p(-OUTLIERS) - 0.5 * t**2
-    tail = np.log(OUTLIERS / OUTLIER_WIDTH) - 0.5 * (t / OUTLIER_WIDTH) ** 2
+    x = np.arange(SILENT_FROM, 14.0, 1.0 / PER_SIGMA)
+    silent = np.log(tuning.packet_loss + (1.0 - tuning.packet_loss) * ndtr(-x))
+    t = np.arange(0.0, 80.0, 1.0 / PER_SIGMA)
+    core = np.log1p(-tuning.outliers) - 0.5 * t**2
+    tail = np.log(tuning.outliers / tuning.outlier_width) - 0.5 * (t / tuning.outlier_width) ** 2
     return silent, np.logaddexp(core, tail)
 
 
@@ -61,21 +55,30 @@ class LevelsModel:
     Hypotheses (h): the known levels, levels outside them, and last the varying level.
     """
 
-    def __init__(self, antenna: Antenna, power_levels_db: tuple[float, ...], place_sigma_m: float) -> None:
+    def __init__(
+        self,
+        antenna: Antenna,
+        power_levels_db: tuple[float, ...],
+        place_sigma_m: float,
+        tuning: LikelihoodTuning = LikelihoodTuning(),
+    ) -> None:
+        self.tuning = tuning
         known = np.sort(np.asarray(power_levels_db, dtype=float))
-        outside = np.concatenate([known[0] - np.array(OUTSIDE_DB), known[-1] + np.array(OUTSIDE_DB)])
+        outside = np.concatenate(
+            [known[0] - np.array(tuning.outside_db), known[-1] + np.array(tuning.outside_db)]
+        )
         self.antenna = antenna
         self.place_sigma_m = place_sigma_m
         self.n_known = known.size
         self.power_db = np.concatenate([known, outside])
         """(h - 1,) power of each fixed-level hypothesis."""
         self.level_dbm = antenna.power_at_1m_dbm + self.power_db
-        varying = PRIOR_VARYING if known.size > 1 else 1e-6
+        varying = tuning.prior_varying if known.size > 1 else 1e-6
         self.log_prior = np.log(
             np.concatenate(
                 [
-                    np.full(known.size, (1.0 - PRIOR_OUTSIDE - varying) / known.size),
-                    np.full(outside.size, PRIOR_OUTSIDE / outside.size),
+                    np.full(known.size, (1.0 - tuning.prior_outside - varying) / known.size),
+                    np.full(outside.size, tuning.prior_outside / outside.size),
                     [varying],
                 ]
             )
@@ -105,7 +108,7 @@ class LevelsModel:
         """log P(a robot hears a packet) at `range_m` from a source of power `level_dbm` at 1 m."""
         mean = level_dbm - self.ten_beta * np.log10(np.maximum(range_m, MIN_RANGE_M))
         margin = (mean - self.antenna.threshold_dbm - 0.5) / self.antenna.sigma_db
-        result: FloatArray = np.log1p(-PACKET_LOSS) + log_ndtr(margin)
+        result: FloatArray = np.log1p(-self.tuning.packet_loss) + log_ndtr(margin)
         return result
 
     def _reach_m(self, strongest_db: float) -> float:
@@ -145,12 +148,12 @@ class LevelsModel:
             self.antenna.threshold_dbm,
             MIN_RANGE_M,
             self.place_sigma_m,
-            PACKET_LOSS,
-            OUTLIERS,
-            OUTLIER_WIDTH,
-            *_tables(),
-            _SILENT_FROM,
-            _PER_SIGMA,
+            self.tuning.packet_loss,
+            self.tuning.outliers,
+            self.tuning.outlier_width,
+            *tables(self.tuning),
+            SILENT_FROM,
+            PER_SIGMA,
             fixed,
         )
         return fixed

@@ -14,15 +14,7 @@ from scipy.special import log_ndtr
 from fieldkit.channel.model import MIN_RANGE_M
 from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.likelihood import levels_loops
-from fieldkit.engine.likelihood.levels import (
-    _PER_SIGMA,
-    _SILENT_FROM,
-    OUTLIER_WIDTH,
-    OUTLIERS,
-    PACKET_LOSS,
-    LevelsModel,
-    _tables,
-)
+from fieldkit.engine.likelihood.levels import PER_SIGMA, SILENT_FROM, LevelsModel, tables
 from fieldkit.messages import Detection, FloatArray, Listening
 
 NEIGHBOURS = 6
@@ -83,7 +75,7 @@ class PlaceNoise:
         top, below = np.zeros(margin.shape), np.zeros(margin.shape)
         for deviate, weight in zip(_DEVIATES, _WEIGHTS, strict=True):
             shadowed = (margin + deviate * np.sqrt(self.place_var)) / np.sqrt(self.time_var)
-            heard = (1.0 - PACKET_LOSS) * np.exp(log_ndtr(shadowed))
+            heard = (1.0 - self.model.tuning.packet_loss) * np.exp(log_ndtr(shadowed))
             silent = weight * np.exp(-rate_hz * heard * spent_s)
             top += heard * silent
             below += silent
@@ -127,12 +119,12 @@ class PlaceNoise:
             self.model.antenna.threshold_dbm,
             MIN_RANGE_M,
             self.model.place_sigma_m,
-            PACKET_LOSS,
-            OUTLIERS,
-            OUTLIER_WIDTH,
-            *_tables(),
-            _SILENT_FROM,
-            _PER_SIGMA,
+            self.model.tuning.packet_loss,
+            self.model.tuning.outliers,
+            self.model.tuning.outlier_width,
+            *tables(self.model.tuning),
+            SILENT_FROM,
+            PER_SIGMA,
             fixed,
         )
         known = fixed[: self.model.n_known]

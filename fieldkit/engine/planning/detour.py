@@ -2,7 +2,7 @@
 
 On the grid: 8-connected cells whose centres are free and whose steps cross nothing, Dijkstra by scipy; corners that
 can be cut without crossing anything are cut. Large fields are walked on larger cells. Where there is room, ways keep
-`CLEARANCE_M` off: a robot counts as arrived a little before a corner, and then cuts it.
+`self.clearance_m` off: a robot counts as arrived a little before a corner, and then cuts it.
 """
 
 import math
@@ -17,7 +17,6 @@ from fieldkit.engine.grid import Grid
 from fieldkit.geometry.polygons import KeepOut
 from fieldkit.messages import FloatArray
 
-CLEARANCE_M = 0.25
 MOST_CELLS = 10_000
 NEAREST = 25
 """Cells tried for the first and the last step of a way."""
@@ -26,10 +25,10 @@ NEAREST = 25
 class Detours:
     """Ways on one grid round one set of polygons, `margin_m` inside the field's border; the graph is made once."""
 
-    def __init__(self, grid: Grid, keep_out: KeepOut, margin_m: float = 0.0) -> None:
+    def __init__(self, grid: Grid, keep_out: KeepOut, margin_m: float, clearance_m: float) -> None:
         coarser = max(1.0, math.sqrt(grid.n_cells / MOST_CELLS))
         self.grid = Grid(grid.size_east_m, grid.size_north_m, grid.cell_m * coarser) if coarser > 1 else grid
-        self.keep_out, self.margin_m = keep_out, margin_m
+        self.keep_out, self.margin_m, self.clearance_m = keep_out, margin_m, clearance_m
         self._meshes: dict[float, _Mesh] = {}
 
     def way(self, start_m: FloatArray, end_m: FloatArray) -> FloatArray | None:
@@ -42,7 +41,7 @@ class Detours:
             out_m = np.array(self.keep_out.nearest_open((float(start_m[0]), float(start_m[1]))))
             onward = None if self.keep_out.contains(out_m[None])[0] else self.way(out_m, end_m)
             return None if onward is None else np.concatenate([out_m[None], onward])
-        for clearance_m in (CLEARANCE_M, 0.0):  # the second where it is too narrow for the first
+        for clearance_m in (self.clearance_m, 0.0):  # the second where it is too narrow for the first
             if self._open(start_m[None], end_m[None], clearance_m)[0]:
                 return end_m[None].copy()
             if (way := self._round(start_m, end_m, clearance_m)) is not None:
@@ -89,7 +88,7 @@ class Detours:
 
     def nearest(self, place_m: FloatArray) -> FloatArray:
         """(2,) the middle of the free cell nearest to a place; the place itself where no cell is free."""
-        for clearance_m in (CLEARANCE_M, 0.0):
+        for clearance_m in (self.clearance_m, 0.0):
             centres = self.grid.centres_m[self._mesh(clearance_m).free]
             if len(centres):
                 return np.asarray(centres[np.argmin(np.hypot(*(centres - place_m).T))])

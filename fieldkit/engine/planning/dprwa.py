@@ -1,8 +1,8 @@
 """Decentralised pairwise ridge walking (DPRWA Algorithm 1): one tour of ridges that all pairs share, as a ring in time.
 
 Ridges of the level set at 0.1 are merged with virtual ones, laid at random anew in every period, until there are
-`RIDGES`: the only exploration in these papers. Chance comes from (seed, number of the period), so pairs that plan apart
-from the same belief plan the same.
+`tuning.ridges.dprwa_ridges`: the only exploration in these papers. Chance comes from (seed, number of the period), so
+pairs that plan apart from the same belief plan the same.
 
 What the paper leaves open: the number of ridges; a virtual ridge is 0.1 to 0.3 of the field's shorter side long and
 weighs what P(C_i^1) is within a typical range of it; a ridge of one cell is walked one cell long; ridges that distance
@@ -26,11 +26,6 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
-LEVEL = 0.1
-TAU0_S = 500.0
-"""Circumference of the ring (section VI)."""
-RIDGES = 12
-"""s_max: real and virtual ridges together."""
 SLOWEST_M_S = 0.01
 
 
@@ -43,16 +38,20 @@ class DprwaPlanner(Planner):
         self,
         settings: EngineSettings,
         *,
-        tau0_s: float = TAU0_S,
-        ridges: int = RIDGES,
+        tau0_s: float | None = None,
+        ridges: int | None = None,
     ) -> None:
-        """Raises `ConfigError` for no ridges or no time."""
+        """Circumference of the ring and number of ridges as tuned, or as given; `ConfigError` for none of either."""
+        tau0_s = settings.tuning.ridges.dprwa_tau0_s if tau0_s is None else tau0_s
+        ridges = settings.tuning.ridges.dprwa_ridges if ridges is None else ridges
         if ridges < 1 or not tau0_s > 0.0:
             raise ConfigError(
                 f"dprwa: expected at least 1 ridge and tau0_s above 0, got {ridges} and {tau0_s}"
             )
         self.settings, self.tau0_s, self.most_ridges = settings, tau0_s, ridges
-        self._detours = Detours(settings.grid, settings.keep_out, settings.fence_margin_m)
+        self._detours = Detours(
+            settings.grid, settings.keep_out, settings.fence_margin_m, settings.tuning.ridges.clearance_m
+        )
         self.period = 0
         """Number of the planning period: plans made so far."""
         self._ways: dict[str, tuple[NDArray[np.int64], FloatArray]] = {}
@@ -121,7 +120,9 @@ class DprwaPlanner(Planner):
     def ridges(self, belief: Belief) -> tuple[list[Ridge], list[Ridge]]:
         """Those of the level set and, up to `most_ridges` in all, virtual ones of this period."""
         activity = belief.activity()
-        real = find_ridges(belief.presence(), activity, LEVEL, self.settings.grid)
+        real = find_ridges(
+            belief.presence(), activity, self.settings.tuning.ridges.dprwa_level, self.settings.grid
+        )
         chance = np.random.default_rng([self.settings.seed, 0xD9, self.period])
         return real, virtual_ridges(self.settings, activity, max(0, self.most_ridges - len(real)), chance)
 

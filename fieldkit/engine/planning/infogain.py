@@ -26,22 +26,9 @@ from fieldkit.engine.planning.base import (
     track,
     waypoints,
 )
-from fieldkit.engine.planning.reward import STEP_S, Reward
+from fieldkit.engine.planning.reward import Reward
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
-
-HORIZON_S = 45.0
-"""How far ahead paths are judged."""
-GROUND_PATHS = 60
-PATHS_PER_CANDIDATE = 16
-MAX_CANDIDATES = 6
-MOST_LEGS = 8
-SAMPLES = 16
-SPACINGS = (0.6, 1.3, 2.0)
-"""How far abreast teams may search, in typical ranges; candidates are resolved at the first."""
-GROUND_VALUE = 1.0
-GROUND_BLOCK = 0.4
-"""Side of the squares in which ground is valued, at most, in the shortest typical range."""
 
 Place = tuple[float, float]
 """East and north, in metres."""
@@ -68,16 +55,17 @@ class InfoGainPlanner(Planner):
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self.grid = settings.grid
+        self._tuning = settings.tuning.infogain
         self._rng = np.random.default_rng([settings.seed, 0x1F0])
         self._last: dict[tuple[str, ...], list[Place]] = {}
         shortest_m = float(settings.antenna.nominal_range_m(min(settings.power_levels_db)))
-        self._block = max(1, int(GROUND_BLOCK * shortest_m / settings.grid.cell_m))
+        self._block = max(1, int(self._tuning.ground_block * shortest_m / settings.grid.cell_m))
         """Ground is valued in squares of so many cells: finer than that, ranges blur it anyway."""
 
     def plan(self, situation: Situation, belief: Belief) -> Plan:
         """Paths for all teams of the situation. Raises `ConfigError` for a belief that is not informative."""
         informed = informative(belief, "infogain")
-        horizon_s = max(HORIZON_S, 1.5 * self.settings.planning_period_s)
+        horizon_s = max(self._tuning.horizon_s, 1.5 * self.settings.planning_period_s)
         reward = self._reward(informed, situation.removed)
         for team, busy in situation.busy.items():
             if all(robot in situation.position_m for robot in team):
@@ -94,7 +82,7 @@ class InfoGainPlanner(Planner):
             ):  # boxed in by the others, or no battery left for any path: stay
                 for robot in team:
                     paths[robot], purpose[robot] = (), "wait"
-                reward.take(standing(start, horizon_s))
+                reward.take(self._standing(start, horizon_s))
                 continue
             places = options.places_m[best, : options.legs[best]]
             reward.take(options.tracks_m[best])
@@ -104,8 +92,10 @@ class InfoGainPlanner(Planner):
         return Plan(situation.t_ns, paths, purpose)
 
     def _reward(self, belief: InformativeBelief, removed: frozenset[int]) -> Reward:
-        value = blocks_summed(GROUND_VALUE * belief.ground_value(), self._block)
-        unresolved = [each for each in belief.unresolved(SAMPLES, self._rng) if each.ident not in removed]
+        value = blocks_summed(self._tuning.ground_value * belief.ground_value(), self._block)
+        unresolved = [
+            each for each in belief.unresolved(self._tuning.samples, self._rng) if each.ident not in removed
+        ]
         return Reward(self.settings, belief.model, value, self._block * self.grid.cell_m, unresolved)
 
     def _underway(
@@ -115,14 +105,19 @@ class InfoGainPlanner(Planner):
         start = np.array([situation.position_m[robot] for robot in team])
         legs = max(len(plan.paths[robot]) for robot in team)
         if legs == 0:
-            return standing(start, horizon_s)
+            return self._standing(start, horizon_s)
         places = np.empty((legs, len(team), 2))
         for slot, robot in enumerate(team):
             path = [(w.east_m, w.north_m) for w in plan.paths[robot]]
             path += [path[-1] if path else tuple(start[slot])] * (legs - len(path))
             places[:, slot] = path
         return track(
-            places, start, self.settings.max_speed_m_s, STEP_S, horizon_s, self.settings.max_turn_deg_s
+            places,
+            start,
+            self.settings.max_speed_m_s,
+            self._tuning.step_s,
+            horizon_s,
+            self.settings.max_turn_deg_s,
         )
 
     # -- paths to choose from ----------------------------------------------------------------------------
@@ -138,7 +133,9 @@ class InfoGainPlanner(Planner):
         """Paths within fence, battery and keep-out; they may still meet other teams' ways."""
         ranges = self.settings.antenna.nominal_range_m(np.array(self.settings.power_levels_db))
         typical_m = float(np.median(ranges))
-        spacings = [max(self.settings.min_separation_m, factor * typical_m) for factor in SPACINGS]
+        spacings = [
+            max(self.settings.min_separation_m, factor * typical_m) for factor in self._tuning.spacings
+        ]
         centre = (float(start[:, 0].mean()), float(start[:, 1].mean()))
         ways = self._over_ground(reward, centre, typical_m, self.settings.max_speed_m_s * horizon_s)
         spacing = [spacings[index % len(spacings)] for index in range(len(ways))]
@@ -149,9 +146,9 @@ class InfoGainPlanner(Planner):
         nearest = sorted(
             reward.unresolved, key=lambda u: float(np.hypot(*(u.points_m.mean(axis=0) - centre)))
         )
-        for candidate in nearest[:MAX_CANDIDATES]:
+        for candidate in nearest[: self._tuning.max_candidates]:
             ways += self._around(candidate, centre, typical_m)
-            purpose += [f"resolve {candidate.ident}"] * PATHS_PER_CANDIDATE
+            purpose += [f"resolve {candidate.ident}"] * self._tuning.paths_per_candidate
         spacing += [spacings[0]] * (len(ways) - len(spacing))
         return self._driven(situation, team, start, horizon_s, ways, np.array(spacing), purpose)
 
@@ -161,10 +158,10 @@ class InfoGainPlanner(Planner):
         """Corners of ways over ground worth searching: across the field, and every other one nearby."""
         pick = self._picker(reward.left())
         ways = []
-        for index in range(GROUND_PATHS):
+        for index in range(self._tuning.ground_paths):
             way: list[Place] = []
             here, gone = centre, 0.0
-            while gone < length_m and len(way) < MOST_LEGS:
+            while gone < length_m and len(way) < self._tuning.most_legs:
                 drawn = self._rng.random()
                 if index % 2:
                     bearing = self._rng.uniform(0.0, 2.0 * math.pi)
@@ -198,7 +195,7 @@ class InfoGainPlanner(Planner):
         """Corners round possible places of a candidate: the nearest first, then on round it."""
         middle = candidate.points_m.mean(axis=0)
         ways = []
-        for index in range(PATHS_PER_CANDIDATE):
+        for index in range(self._tuning.paths_per_candidate):
             focus = candidate.points_m[int(self._rng.integers(candidate.points_m.shape[0]))]
             east, north = (middle if index % 3 == 0 else focus).tolist()
             radius = typical_m * (0.15, 0.35, 0.6, 0.9)[index % 4]
@@ -221,12 +218,12 @@ class InfoGainPlanner(Planner):
         """The ways of a team's middle as its robots would drive them abreast, but for those that cannot be driven."""
         s = self.settings
         legs = np.array([len(way) for way in ways], dtype=np.int64)
-        centres = np.zeros((len(ways), MOST_LEGS, 2))
+        centres = np.zeros((len(ways), self._tuning.most_legs, 2))
         for index, way in enumerate(ways):
             centres[index, : len(way)] = way
         low = np.full(2, s.fence_margin_m)
         high = np.maximum(low, np.array([self.grid.size_east_m, self.grid.size_north_m]) - s.fence_margin_m)
-        places = np.zeros((len(ways), MOST_LEGS, len(team), 2))
+        places = np.zeros((len(ways), self._tuning.most_legs, len(team), 2))
         path_loops.all_abreast(centres, legs, start, spacing_m, low, high, places)
         range_m = np.array([situation.range_m.get(robot, np.inf) for robot in team])
         home_m = np.array([situation.home_m.get(robot, at) for robot, at in zip(team, start, strict=True)])
@@ -237,9 +234,9 @@ class InfoGainPlanner(Planner):
         if s.keep_out.needs_detours:
             can &= [not self._blocked(start, places[i, :count]) for i, count in enumerate(legs)]
         places, legs = places[can], legs[can]
-        tracks = np.empty((len(legs), n_steps(horizon_s), len(team), 2))
+        tracks = np.empty((len(legs), self._n_steps(horizon_s), len(team), 2))
         path_loops.all_tracks(
-            places, legs, start, s.max_speed_m_s, math.radians(s.max_turn_deg_s), STEP_S, tracks
+            places, legs, start, s.max_speed_m_s, math.radians(s.max_turn_deg_s), self._tuning.step_s, tracks
         )
         return _Options([p for p, kept in zip(purpose, can, strict=True) if kept], places, legs, tracks)
 
@@ -252,6 +249,14 @@ class InfoGainPlanner(Planner):
             keep_out.permits((a[0], a[1]), (b[0], b[1])) for a, b in first
         )
 
+    def _standing(self, start_m: FloatArray, horizon_s: float) -> FloatArray:
+        """(steps, m, 2): the track of robots that stay at `start_m` (m, 2)."""
+        return np.repeat(start_m[None], self._n_steps(horizon_s), axis=0)
+
+    def _n_steps(self, horizon_s: float) -> int:
+        """Points of a track."""
+        return max(1, int(horizon_s / self._tuning.step_s))
+
 
 def blocks_summed(value: FloatArray, block: int) -> FloatArray:
     """`value` (n_north, n_east) summed over squares of `block` x `block` cells; the last ones may be cut."""
@@ -259,13 +264,3 @@ def blocks_summed(value: FloatArray, block: int) -> FloatArray:
         return value
     rows, columns = np.arange(0, value.shape[0], block), np.arange(0, value.shape[1], block)
     return np.asarray(np.add.reduceat(np.add.reduceat(value, rows, axis=0), columns, axis=1))
-
-
-def standing(start_m: FloatArray, horizon_s: float) -> FloatArray:
-    """(steps, m, 2): the track of robots that stay at `start_m` (m, 2)."""
-    return np.repeat(start_m[None], n_steps(horizon_s), axis=0)
-
-
-def n_steps(horizon_s: float) -> int:
-    """Points of a track."""
-    return max(1, int(horizon_s / STEP_S))

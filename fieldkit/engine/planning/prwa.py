@@ -22,14 +22,6 @@ from fieldkit.engine.planning.walks import random_corners, typical_range_m
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
-LEVEL = 0.1
-"""Threshold plane p (PRWA figure 4)."""
-SPACINGS = 8
-POSITIONS = 5
-"""Pair positions along a ridge at which the entropy is evaluated."""
-MAX_CELLS = 250
-"""Clusters with more cells are thinned for the entropy, which takes time with their square."""
-
 
 class PrwaPlanner(Planner):
     """See the module."""
@@ -42,7 +34,7 @@ class PrwaPlanner(Planner):
     def plan(self, situation: Situation, belief: Belief) -> Plan:
         """A tour of ridges for as many teams as there are components; random walks for the rest."""
         presence, activity = belief.presence(), belief.activity()
-        ridges = find_ridges(presence, activity, LEVEL, self.settings.grid)
+        ridges = find_ridges(presence, activity, self.settings.tuning.ridges.prwa_level, self.settings.grid)
         clusters = cluster_ridges(ridges, min(len(situation.teams), len(ridges)), self._rng)
         starts = [np.array([situation.position_m[r] for r in team]) for team in situation.teams]
         assigned = assign(clusters, [start.mean(axis=0) for start in starts])
@@ -86,21 +78,21 @@ class PrwaPlanner(Planner):
         return np.array(corners)
 
     def _spacing(self, ridges: list[Ridge], presence: FloatArray, activity: FloatArray) -> float:
-        settings = self.settings
+        settings, tuning = self.settings, self.settings.tuning.ridges
         cells = np.concatenate([ridge.cells for ridge in ridges])
         flat = np.concatenate([ridge.flat for ridge in ridges])
-        if len(flat) > MAX_CELLS:
-            keep = np.linspace(0, len(flat) - 1, MAX_CELLS).astype(int)
+        if len(flat) > tuning.prwa_max_cells:
+            keep = np.linspace(0, len(flat) - 1, tuning.prwa_max_cells).astype(int)
             cells, flat = cells[keep], flat[keep]
         heaviest = ridges[0]
-        share = (np.arange(POSITIONS) + 0.5) / POSITIONS
+        share = (np.arange(tuning.prwa_positions) + 0.5) / tuning.prwa_positions
         centres = heaviest.ends_m[0] + share[:, None] * (heaviest.ends_m[1] - heaviest.ends_m[0])
         along = heaviest.ends_m[1] - heaviest.ends_m[0]
         along = along / np.hypot(*along) if heaviest.length_m > 0 else np.array([0.0, 1.0])
-        across = np.repeat(np.array([[-along[1], along[0]]]), POSITIONS, axis=0)
+        across = np.repeat(np.array([[-along[1], along[0]]]), tuning.prwa_positions, axis=0)
         longest = float(settings.antenna.nominal_range_m(max(settings.power_levels_db)))
         spacings = np.linspace(
-            settings.min_separation_m, max(1.5 * longest, settings.min_separation_m), SPACINGS
+            settings.min_separation_m, max(1.5 * longest, settings.min_separation_m), tuning.prwa_spacings
         )
         return best_spacing_m(
             settings,

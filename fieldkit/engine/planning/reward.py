@@ -17,21 +17,6 @@ from fieldkit.engine.planning.base import HearingModel
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray
 
-STEP_S = 1.5
-"""Between the points of a track."""
-RESOLVE_VALUE = 2.0
-RECEPTION_VALUE = 0.3
-TARGET_CELLS = 0.45
-"""Standard deviation, in cells, at which a place is certain to within one cell."""
-GROUND_RATE = 0.25
-"""Unheard sources are taken to send at this share of the reference rate: those that send more have been heard."""
-SETTLED_CELLS = 0.25
-"""The same for a find that is looked at once more."""
-SETTLE_VALUE = 4.0
-"""Of a find's place made certain, by the probability that it lies a cell off."""
-DOUBTFUL_VALUE = 0.3
-"""Of readings that the model does not explain: more of them seldom help."""
-
 
 class Reward:
     """What is to be gained, what the teams planned so far take of it, and what a further path would add.
@@ -50,12 +35,12 @@ class Reward:
         self.unresolved = unresolved
         self._taken_m: FloatArray | None = None
         """(steps, k, 2): tracks of all robots so far."""
-        self._settings = settings
+        self._settings, self._tuning = settings, settings.tuning.infogain
         self._model = model
         self._ground = ground
         """(n_north, n_east) of squares of side `square_m`: expected number of sources not among the candidates."""
         self._square_m = square_m
-        self._rate_hz = GROUND_RATE * settings.reference_rate_hz
+        self._rate_hz = self._tuning.ground_rate * settings.reference_rate_hz
         self._planned_s = np.zeros(ground.shape)
         """P(heard) integrated over the time of the tracks taken."""
         self._learnt = [np.zeros(4) for _ in unresolved]
@@ -101,7 +86,7 @@ class Reward:
         path_loops.all_ground_gains(
             tracks_m,
             clear,
-            STEP_S,
+            self._tuning.step_s,
             self._ground,
             self._planned_s,
             self._square_m,
@@ -119,7 +104,7 @@ class Reward:
         told = np.empty((len(tracks_m), 4))
         path_loops.all_information(
             tracks_m,
-            STEP_S,
+            self._tuning.step_s,
             candidate.points_m,
             candidate.level,
             self._model.hear,
@@ -145,13 +130,15 @@ class Reward:
         # Receptions still needed grow with the precision still missing: so counted, a candidate that is nearly
         # resolved is worth finishing before driving to the next. Eigenvalues of the precision, closed form.
         only_place = candidate.state == "found" and not candidate.may_be_two
-        target = ((SETTLED_CELLS if only_place else TARGET_CELLS) * cell_m) ** 2
+        target = ((self._tuning.settled_cells if only_place else self._tuning.target_cells) * cell_m) ** 2
         middle, half = (ee + nn) / 2.0, np.hypot((ee - nn) / 2.0, en)
         done = (np.minimum((middle - half) * target, 1.0) + np.minimum((middle + half) * target, 1.0)) / 2.0
         missing = max(1.0, self._settings.min_receptions - candidate.receptions)
         received = 1.0 - np.exp(-rate * told[:, 0] / missing)
         if only_place:
-            worth = SETTLE_VALUE * (1.0 - candidate.p_here)
+            worth = self._tuning.settle_value * (1.0 - candidate.p_here)
         else:
-            worth = DOUBTFUL_VALUE if candidate.state == "inconsistent" else 1.0
-        return np.asarray(worth * (RESOLVE_VALUE * done + RECEPTION_VALUE * received))
+            worth = self._tuning.inconsistent_value if candidate.state == "inconsistent" else 1.0
+        return np.asarray(
+            worth * (self._tuning.resolve_value * done + self._tuning.reception_value * received)
+        )

@@ -22,12 +22,10 @@ from fieldkit.engine.planning.walks import random_corners, typical_range_m
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
-LEVEL_FACTOR = 6.0
 
-
-def level_of(presence: FloatArray, *, capped: bool = True) -> float:
-    """p = (6/n) sum P(C_i) (RWA section VII.C); `capped` at half of the largest P."""
-    level = LEVEL_FACTOR * float(presence.mean())
+def level_of(presence: FloatArray, factor: float, *, capped: bool = True) -> float:
+    """p = (factor/n) sum P(C_i) (RWA section VII.C: 6); `capped` at half of the largest P."""
+    level = factor * float(presence.mean())
     return min(level, 0.5 * float(presence.max())) if capped else level
 
 
@@ -75,7 +73,7 @@ class RwaPlanner(Planner):
 
     def _ridges(self, presence: FloatArray) -> list[Ridge]:
         """RWA weighs a ridge by the summed P(C_i) of its component (eq 29)."""
-        level = level_of(presence)
+        level = level_of(presence, self.settings.tuning.ridges.rwa_level)
         return find_ridges(presence, presence, level, self.settings.grid) if level > 1e-9 else []
 
     def _walk(self, ridges: list[Ridge], start_m: FloatArray) -> FloatArray:

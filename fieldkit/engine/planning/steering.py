@@ -13,7 +13,9 @@ class Steering:
 
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
-        self.detours = Detours(settings.grid, settings.keep_out, settings.fence_margin_m)
+        self.detours = Detours(
+            settings.grid, settings.keep_out, settings.fence_margin_m, settings.tuning.ridges.clearance_m
+        )
 
     def steer(
         self, team: tuple[str, ...], start_m: FloatArray, corners_m: FloatArray, spacing_m: float

@@ -15,12 +15,6 @@ from fieldkit.engine.planning.steering import Steering
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
-LEGS = 3
-DRAWS = 20
-"""How often a leg is drawn before a detour is taken."""
-LEAST_LANES = 6
-"""Radios that hear across the whole field would else see it from two lines only."""
-
 
 def typical_range_m(settings: EngineSettings) -> float:
     """Nominal range at the median power level."""
@@ -56,11 +50,11 @@ class RandomWalk(PairRandomWalk):
 
 
 def random_corners(settings: EngineSettings, here_m: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """(LEGS, 2) corners of a random walk from `here_m`; a leg onto ground to be kept out of is drawn again."""
+    """(legs, 2) corners of a random walk from `here_m`; a leg onto ground to be kept out of is drawn again."""
     size = np.array([settings.grid.size_east_m, settings.grid.size_north_m])
     corners = []
-    for _ in range(LEGS):
-        for _ in range(DRAWS):
+    for _ in range(settings.tuning.ridges.walk_legs):
+        for _ in range(settings.tuning.ridges.walk_draws):
             heading = rng.uniform(0.0, 2.0 * math.pi)
             length = rng.uniform(0.2, 0.6) * size.min()
             corner = np.clip(here_m + length * np.array([math.sin(heading), math.cos(heading)]), 0.0, size)
@@ -129,7 +123,7 @@ def lanes(settings: EngineSettings) -> FloatArray:
     """(k, 2) corners of a closed route of parallel lanes, at most two typical ranges apart."""
     grid, margin = settings.grid, settings.fence_margin_m
     width = 2.0 * typical_range_m(settings)
-    count = max(LEAST_LANES, math.ceil(grid.size_east_m / width))
+    count = max(settings.tuning.ridges.least_lanes, math.ceil(grid.size_east_m / width))
     corners = []
     for lane in range(count):
         east = (lane + 0.5) / count * grid.size_east_m

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fieldkit.clock import wall_s
-from fieldkit.engine.belief.spog import DIRICHLET_ALPHA, SpogBelief
+from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection
 from fieldkit.world.sources import TransientSource
@@ -24,7 +24,8 @@ class NumpySpog(SpogBelief):
         )
         self._events += 1
         self._sum_p1 += p1
-        self.log_prior = np.log((DIRICHLET_ALPHA / n + self._sum_p1) / (DIRICHLET_ALPHA + self._events))
+        alpha = self.settings.tuning.paper_beliefs.dirichlet_alpha
+        self.log_prior = np.log((alpha / n + self._sum_p1) / (alpha + self._events))
 
 
 def against_numpy(

@@ -13,22 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldkit.engine.belief.base import Unresolved
-from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Summary
+from fieldkit.engine.belief.intensity.candidate import Candidate, Summary
 from fieldkit.engine.belief.intensity.mixture import Mixture
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
-
-WITHDRAW = 0.75
-"""A find is withdrawn when the probability of its place falls below this share of the threshold."""
-SETTLED = 0.995
-"""A find that is so probably within one cell of its place needs no further look."""
-MAX_SQUARED_RESIDUAL = 2.5
-"""Mean squared standardised residual above which readings do not look like what the antenna file predicts."""
-
-
-JUDGED_ON = 25
-"""Of so many of a candidate's last detections the residuals one step ahead are looked at, under place noise."""
 
 
 class IntensityBelief:
@@ -40,7 +29,7 @@ class IntensityBelief:
                 "belief 'intensity' takes every antenna for one that hears the same all round, and this one is "
                 "directional: choose belief 'spog' with sensing 'directional'"
             )
-        self.settings = settings
+        self.settings, self._tuning = settings, settings.tuning.intensity
         self.grid = settings.grid
         self.mixture = Mixture(settings)
         self.model = self.mixture.model
@@ -82,7 +71,9 @@ class IntensityBelief:
         for candidate in self.candidates:
             summary = self.mixture.summary(candidate)
             enough = candidate.receptions >= self.settings.min_receptions - 0.1
-            placed = summary.p_here >= (threshold if candidate.state != "found" else WITHDRAW * threshold)
+            placed = summary.p_here >= (
+                threshold if candidate.state != "found" else self._tuning.withdraw * threshold
+            )
             if not (enough and placed):
                 candidate.certain_since = None
                 if candidate.state == "found":
@@ -125,7 +116,7 @@ class IntensityBelief:
                 f"{max(self.settings.power_levels_db):+.0f} dB)"
             )
         misfit, count = self._misfit(candidate)
-        if count >= 5 and misfit > MAX_SQUARED_RESIDUAL:
+        if count >= 5 and misfit > self._tuning.max_squared_residual:
             return (
                 f"the model does not explain these readings: residuals are {np.sqrt(misfit):.1f} times as wide as "
                 f"the antenna file's sigma of {self.settings.antenna.sigma_db:.1f} dB ({count} readings)"
@@ -141,7 +132,7 @@ class IntensityBelief:
             return 0.0, 0
         if self.mixture.places is not None:
             return self.mixture.places.misfit(
-                [stored.detection for stored in claimed[-JUDGED_ON:]],
+                [stored.detection for stored in claimed[-self._tuning.judged_on :]],
                 candidate.points_m[index],
                 float(self.model.level_dbm[level]),
             )
@@ -169,7 +160,7 @@ class IntensityBelief:
                     cov_m2=summary.cov_m2,
                     region_90=self._region_90(candidate),
                     receptions=candidate.receptions,
-                    rate_hz=(RATE_SHAPE + candidate.receptions)
+                    rate_hz=(self._tuning.rate_shape + candidate.receptions)
                     / (self.mixture.rate_prior_s + summary.exposure_s),
                     p_exists=1.0
                     - float(np.prod([1.0 - min(share, 1.0 - 1e-9) for share in candidate.share.values()]))
@@ -219,7 +210,7 @@ class IntensityBelief:
         rate = self.mixture.unknown_rate().ravel()
         for candidate in self.candidates:
             cells, place = self._cells_of(candidate)
-            hz = (RATE_SHAPE + candidate.receptions) / (
+            hz = (self._tuning.rate_shape + candidate.receptions) / (
                 self.mixture.rate_prior_s + self.mixture.summary(candidate).exposure_s
             )
             rate[cells] += place * hz
@@ -254,7 +245,7 @@ class IntensityBelief:
             if two_source is not None and not two_source.undecided:
                 two_source = None
             summary = self.mixture.summary(candidate)
-            if candidate.state == "found" and two_source is None and summary.p_here >= SETTLED:
+            if candidate.state == "found" and two_source is None and summary.p_here >= self._tuning.settled:
                 continue
             posterior = candidate.posterior()
             picks = rng.choice(posterior.size, size=samples, p=posterior.ravel() / posterior.sum())
@@ -272,7 +263,8 @@ class IntensityBelief:
                     places,
                     level.astype(float),
                     cov,
-                    (RATE_SHAPE + candidate.receptions) / (self.mixture.rate_prior_s + summary.exposure_s),
+                    (self._tuning.rate_shape + candidate.receptions)
+                    / (self.mixture.rate_prior_s + summary.exposure_s),
                     candidate.receptions,
                     summary.p_here,
                     candidate.state,

@@ -17,12 +17,8 @@ from scipy.special import gammaln
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
 from fieldkit.messages import FloatArray
+from fieldkit.tuning import IntensityTuning
 
-RATE_SHAPE = 1.0
-"""a of the Gamma prior of a source's rate: its mean is the reference rate, its spread is as wide."""
-NEGLIGIBLE_NATS = 20.0
-FEWEST_POINTS = 12
-"""So many points are kept, however certain the place."""
 ACTIVE_NATS = 40.0
 """A detection may lower an entry by this much and still have it count when it is left out."""
 
@@ -66,6 +62,7 @@ class Candidate:
     """Between neighbouring points."""
     arena: Arena
     """Where log-likelihoods are kept: one for all candidates that share detections out among them."""
+    tuning: IntensityTuning
     evidence: FloatArray = field(init=False)
     """(h, n) sum of share times log-likelihood."""
     logs: dict[int, Row] = field(default_factory=dict)
@@ -109,7 +106,7 @@ class Candidate:
 
     def log_posterior(self) -> FloatArray:
         """(h, n), not normalised."""
-        return self.log_prior + self.evidence - (RATE_SHAPE + self.receptions) * self.log_exposure
+        return self.log_prior + self.evidence - (self.tuning.rate_shape + self.receptions) * self.log_exposure
 
     def expose(self, exposure_s: FloatArray) -> None:
         """Bring the exposure (h, n) up to date."""
@@ -129,7 +126,11 @@ class Candidate:
     def log_evidence(self) -> float:
         """log of the expected number of such sources times the probability of all they sent: compares hypotheses."""
         n = self.receptions
-        rate = RATE_SHAPE * np.log(self.rate_prior_s) + gammaln(RATE_SHAPE + n) - gammaln(RATE_SHAPE)
+        rate = (
+            self.tuning.rate_shape * np.log(self.rate_prior_s)
+            + gammaln(self.tuning.rate_shape + n)
+            - gammaln(self.tuning.rate_shape)
+        )
         return log_sum(self.log_posterior()) + float(rate)
 
     def know(self, number: int, log_likelihood: FloatArray) -> None:
@@ -161,9 +162,9 @@ class Candidate:
         """Drop points that are impossible under every power."""
         log = self.log_posterior()
         best = log.max(axis=0)
-        keep = best > best.max() - NEGLIGIBLE_NATS
-        if keep.sum() < FEWEST_POINTS < keep.size:
-            keep[np.argpartition(best, -FEWEST_POINTS)[-FEWEST_POINTS:]] = True
+        keep = best > best.max() - self.tuning.negligible_nats
+        if keep.sum() < self.tuning.fewest_points < keep.size:
+            keep[np.argpartition(best, -self.tuning.fewest_points)[-self.tuning.fewest_points :]] = True
         if keep.sum() > 0.8 * keep.size:
             return
         self.points_m = np.ascontiguousarray(self.points_m[keep])

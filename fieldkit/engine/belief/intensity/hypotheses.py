@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldkit.engine.belief.intensity import loops
-from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, TwoSource
+from fieldkit.engine.belief.intensity.candidate import Candidate, TwoSource
 from fieldkit.engine.belief.intensity.responsibilities import (
     acquire_control,
     entries_that_count,
@@ -23,21 +23,6 @@ from fieldkit.messages import FloatArray
 if TYPE_CHECKING:
     from fieldkit.engine.belief.intensity.mixture import Mixture
 
-FIRST = 5.0
-"""Receptions at which a candidate's hypothesis is first told afresh; then at every 1.4 times as many."""
-UNDECIDED_NATS = -3.0
-"""Evidence of the best hypothesis of two over that of one from which on somebody has to go and see."""
-CLEAR_NATS = -10.0
-"""The same from which on it need not be looked at again until there are twice as many receptions."""
-PLACE_ROUNDS = 6
-"""Turns in which one of two places is chosen anew given the other."""
-TOLD_DETECTIONS = 30
-"""Of more than so many detections only every second is told, or every third, and so on."""
-TOLD_CELLS = 12
-"""No source is sought further than this from where a candidate is."""
-BETTER_NATS = 1.0
-"""Evidence by which another hypothesis must be better."""
-
 
 def revise(mixture: "Mixture") -> bool | None:
     """Re-estimate a candidate, as one source and as two; whether another hypothesis was better.
@@ -48,7 +33,7 @@ def revise(mixture: "Mixture") -> bool | None:
     estimated on the usual points.
     """
     for candidate in mixture.candidates:
-        due = mixture.revise_at.setdefault(candidate.ident, FIRST)
+        due = mixture.revise_at.setdefault(candidate.ident, mixture.tuning.first_look)
         if candidate.receptions >= due:
             return _revise(mixture, candidate)
     return None
@@ -56,7 +41,7 @@ def revise(mixture: "Mixture") -> bool | None:
 
 def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     count, inconsistent = candidate.receptions, candidate.state == "inconsistent"
-    whole = _told(candidate)
+    whole = _told(mixture, candidate)
     share = _worth(mixture, whole)
     blank = _fresh(mixture, candidate, share, spacing=1.0)
     single = blank.copy()
@@ -64,13 +49,13 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     pairs = _two(mixture, blank, share)
     scores = [_score(pair, share) for pair in pairs]
     odds_nats = max(scores, default=-np.inf) - _score([single], share)
-    undecided = odds_nats > UNDECIDED_NATS
+    undecided = odds_nats > mixture.tuning.undecided_nats
     candidate.two_source = None
     if pairs:
         places = np.array([_mean(part) for part in pairs[int(np.argmax(scores))]])
         candidate.two_source = TwoSource(float(1.0 / (1.0 + np.exp(-odds_nats))), places, undecided)
-    mixture.revise_at[candidate.ident] = _next_look(count, odds_nats, inconsistent)
-    if odds_nats > BETTER_NATS:
+    mixture.revise_at[candidate.ident] = _next_look(mixture, count, odds_nats, inconsistent)
+    if odds_nats > mixture.tuning.better_nats:
         best = pairs[int(np.argmax(scores))]
         parts = [_re_estimated(mixture, candidate, _undone(part.share, share, whole)) for part in best]
     else:
@@ -78,7 +63,7 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
         if not (moved or inconsistent):
             return False
         parts = [_re_estimated(mixture, candidate, whole)]
-        if _score(parts, whole) < _score([candidate], whole) + BETTER_NATS:
+        if _score(parts, whole) < _score([candidate], whole) + mixture.tuning.better_nats:
             return False
     mixture.remove(candidate)
     parts[0].ident = candidate.ident
@@ -99,21 +84,21 @@ def _undone(part: dict[int, float], worth: dict[int, float], whole: dict[int, fl
     return {number: share * whole[number] / worth[number] for number, share in part.items()}
 
 
-def _next_look(count: float, odds_nats: float, inconsistent: bool) -> float:
+def _next_look(mixture: "Mixture", count: float, odds_nats: float, inconsistent: bool) -> float:
     """Receptions at which to look again: soon where two are as likely as one, late where they are not at all."""
-    if odds_nats > UNDECIDED_NATS:
+    if odds_nats > mixture.tuning.undecided_nats:
         return count + 1.9
     if inconsistent:
         return max(count + 0.9, 1.1 * count)
-    if odds_nats >= CLEAR_NATS:
+    if odds_nats >= mixture.tuning.clear_nats:
         return 1.4 * count
-    return (4.0 if count > TOLD_DETECTIONS else 2.0) * count
+    return (4.0 if count > mixture.tuning.re_estimated_from else 2.0) * count
 
 
-def _told(candidate: Candidate) -> dict[int, float]:
+def _told(mixture: "Mixture", candidate: Candidate) -> dict[int, float]:
     """The detections of which a hypothesis is told, with their shares: of very many some, evenly over time."""
     claimed = [(number, share) for number, share in candidate.share.items() if share > 0.05]
-    return dict(claimed[:: -(-len(claimed) // TOLD_DETECTIONS) or 1])
+    return dict(claimed[:: -(-len(claimed) // mixture.tuning.re_estimated_from) or 1])
 
 
 def _worth(mixture: "Mixture", share: dict[int, float]) -> dict[int, float]:
@@ -140,7 +125,7 @@ def _fresh(
 ) -> Candidate:
     """An empty candidate whose cloud covers wherever the given detections may have come from."""
     centre = mixture.summary(candidate).mean_m
-    half = min(0.75 * mixture.model.reach_m, TOLD_CELLS * mixture.grid.cell_m)
+    half = min(0.75 * mixture.model.reach_m, mixture.tuning.re_estimated_cells * mixture.grid.cell_m)
     row0, row1, column0, column1 = mixture.grid.box_around(centre[None, :], half)
     fresh = mixture.new_candidate((column0, column1), (row0, row1), spacing=spacing)
     for number in share:
@@ -192,7 +177,7 @@ def _best_two_places(mixture: "Mixture", blank: Candidate, share: dict[int, floa
     weight = np.array(list(share.values()))
     like = np.exp(logs - logs.max(axis=1, keepdims=True)) + 1e-12
     first = second = int(np.argmax(weight @ np.log(like)))
-    for _ in range(PLACE_ROUNDS):
+    for _ in range(mixture.tuning.place_rounds):
         first, second = second, int(np.argmax(weight @ np.log(like + like[:, second, None])))
     return np.asarray(logs[:, first] > logs[:, second])
 
@@ -224,7 +209,7 @@ def _divide(
             log_exposure,
             np.array([part.receptions for part in pair]),
             np.array([part.mean_exposure_s(part.posterior()) for part in pair]),
-            RATE_SHAPE,
+            mixture.tuning.rate_shape,
             mixture.rate_prior_s,
             nobody,
             nobody,

@@ -14,7 +14,7 @@ import numpy as np
 from fieldkit.engine.belief.intensity import hypotheses as hypotheses
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
-from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, Summary, merged_gain, summarise
+from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, merged_gain, summarise
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.levels import LevelsModel
@@ -22,21 +22,7 @@ from fieldkit.engine.likelihood.places import Earlier, PlaceNoise, levels_of, re
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening
 
-MAX_OPEN = 300
-"""Detections kept open for re-attribution; older ones are folded into their sources."""
-CLUTTER_HZ = 2e-4
-"""Rate of detections that come from no source: noise, other bands, reflections."""
-FINE = 0.5
-"""Spacing of a candidate's points, in cells."""
-REFINE_POINTS = 300
-"""A candidate on one point a cell is told on the finer points once no more than these are left."""
-SWEEPS = 3
-CLAIMED = 0.5
-"""Share from which on a detection is conditioned on as the candidate's own."""
 NOTHING_EARLIER = Earlier(np.zeros((0, 2)), np.zeros(0))
-BIRTH_ODDS = 1.5
-"""Expected number of further sources that speak for themselves at which one is given a candidate."""
-DEATH_RECEPTIONS = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,12 +48,15 @@ class Mixture:
     """Candidates, open detections and exposure. Deterministic: same calls, same bits."""
 
     def __init__(self, settings: EngineSettings) -> None:
-        self.settings = settings
+        self.settings, self.tuning = settings, settings.tuning.intensity
         self.grid = settings.grid
         self.model = LevelsModel(
             settings.antenna,
             levels_of(settings.power_levels_db, settings.spread),
-            float(np.hypot(settings.pose_sigma_m, FINE * settings.grid.cell_m / np.sqrt(12.0))),
+            float(
+                np.hypot(settings.pose_sigma_m, self.tuning.fine_cells * settings.grid.cell_m / np.sqrt(12.0))
+            ),
+            settings.tuning.likelihood,
         )
         self.exposure_s = np.zeros((self.model.power_db.size, *self.grid.shape))
         """(h - 1, n_north, n_east): P(some robot hears) integrated over the time listened, for each fixed power."""
@@ -77,7 +66,7 @@ class Mixture:
             else None
         )
         """What readings and silence of one place have in common; None where nothing."""
-        self.rate_prior_s = RATE_SHAPE / settings.reference_rate_hz
+        self.rate_prior_s = self.tuning.rate_shape / settings.reference_rate_hz
         """b of the Gamma prior of a source's rate."""
         self.candidates: list[Candidate] = []
         self.open: dict[int, OpenDetection] = {}
@@ -117,11 +106,11 @@ class Mixture:
         for candidate in self.candidates:
             candidate.rate_trust = self._rate_trust(candidate)
             candidate.expose(self.exposure_at(candidate.points_m))
-        self.sweep(SWEEPS)
+        self.sweep(self.tuning.sweeps)
         for _ in range(1 + len(detections)):
             if not self._birth():
                 break
-            self.sweep(SWEEPS)
+            self.sweep(self.tuning.sweeps)
         self._settle()
         self._fold()
 
@@ -129,7 +118,7 @@ class Mixture:
         """Tell the hypothesis of one candidate afresh; whether another was better, None where none was due."""
         better = hypotheses.revise(self)
         if better:
-            self.sweep(SWEEPS)
+            self.sweep(self.tuning.sweeps)
             self._settle()
         return better
 
@@ -151,7 +140,7 @@ class Mixture:
         claimed = [
             other
             for other, share in candidate.share.items()
-            if share >= CLAIMED and other < number and other in self.open
+            if share >= self.tuning.claimed and other < number and other in self.open
         ]
         candidate.based_on[number] = claimed
         own = [self.open[other] for other in claimed]
@@ -176,7 +165,7 @@ class Mixture:
         own = [
             self.open[number].near_m
             for number, share in candidate.share.items()
-            if share >= CLAIMED and number in self.open
+            if share >= self.tuning.claimed and number in self.open
         ]
         return float(redundancy(own, self.settings.spread).mean()) if own else 1.0
 
@@ -189,7 +178,7 @@ class Mixture:
                 claimed = [
                     other
                     for other, part in candidate.share.items()
-                    if part >= CLAIMED and other < number and other in self.open
+                    if part >= self.tuning.claimed and other < number and other in self.open
                 ]
                 if claimed == candidate.based_on.get(number):
                     continue
@@ -213,7 +202,7 @@ class Mixture:
         log = self.model.known_log_likelihood(detection, points)
         scale = float(log.max())
         like = np.exp(log - scale)
-        clutter = float(np.log(CLUTTER_HZ) - len(heard_at) * np.log(80.0))
+        clutter = float(np.log(self.tuning.clutter_hz) - len(heard_at) * np.log(80.0))
         mean = like.mean(axis=0).reshape(north.size, east.size)
         return OpenDetection(
             detection,
@@ -248,7 +237,9 @@ class Mixture:
         exposure = self.known_exposure_s().mean(axis=0)
         here = self.settings.expected_sources / self.grid.n_cells
         b = self.rate_prior_s
-        result: FloatArray = here * (b / (b + exposure)) ** RATE_SHAPE * RATE_SHAPE / (b + exposure)
+        result: FloatArray = (
+            here * (b / (b + exposure)) ** self.tuning.rate_shape * self.tuning.rate_shape / (b + exposure)
+        )
         return result
 
     def _log_unknown(self) -> FloatArray:
@@ -290,6 +281,7 @@ class Mixture:
             log_unknown,
             log_clutter,
             mean_exposure_s,
+            self.tuning.rate_shape,
             self.rate_prior_s,
             left,
             passes=sweeps,
@@ -298,8 +290,8 @@ class Mixture:
         self.explained = dict(zip(numbers, left.explained.tolist(), strict=True))
         for candidate in self.candidates:
             candidate.prune()
-            coarse = candidate.spacing_m > 1.01 * FINE * self.grid.cell_m
-            if coarse and candidate.points_m.shape[0] <= REFINE_POINTS:
+            coarse = candidate.spacing_m > 1.01 * self.tuning.fine_cells * self.grid.cell_m
+            if coarse and candidate.points_m.shape[0] <= self.tuning.refine_points:
                 self._refine(candidate)
                 self._summaries.pop(candidate.ident, None)
 
@@ -342,7 +334,7 @@ class Mixture:
         expected = self.another_source()
         prior = self.settings.expected_sources / self.grid.n_cells / self.model.n_known
         telling = np.where(expected > prior, expected, 0.0)
-        if telling.sum() < BIRTH_ODDS:
+        if telling.sum() < self.tuning.birth_odds:
             return False
         place = telling.sum(axis=0)
         row, column = np.unravel_index(int(np.argmax(place)), place.shape)
@@ -365,7 +357,7 @@ class Mixture:
                 like = stored.like.array[level, (row - row0) * (column1 - column0) + column - column0]
                 ratio = rate * like * np.exp(stored.log_scale - self.explained[number])
                 candidate.set_share(number, float(ratio / (1.0 + ratio)))
-        if candidate.receptions < DEATH_RECEPTIONS:
+        if candidate.receptions < self.tuning.death_receptions:
             return False
         for number, share in candidate.share.items():
             for other in self.candidates:
@@ -382,8 +374,8 @@ class Mixture:
 
         `spacing` of its points, in cells; one over a whole number.
         """
-        fine = self.grid.cell_m * (spacing or FINE)
-        per_cell = round(1.0 / (spacing or FINE))
+        fine = self.grid.cell_m * (spacing or self.tuning.fine_cells)
+        per_cell = round(1.0 / (spacing or self.tuning.fine_cells))
         east = np.arange(max(0, columns[0] - 1) * per_cell, min(self.grid.n_east, columns[1] + 1) * per_cell)
         north = np.arange(max(0, rows[0] - 1) * per_cell, min(self.grid.n_north, rows[1] + 1) * per_cell)
         points = np.column_stack(
@@ -392,7 +384,14 @@ class Mixture:
         density = self.settings.expected_sources / self.grid.n_cells / per_cell**2
         prior = np.repeat(self.model.log_prior[:, None] + np.log(density), points.shape[0], axis=1)
         return Candidate(
-            self.next_ident(), points, prior, self.rate_prior_s, self.exposure_at(points), fine, self.arena
+            self.next_ident(),
+            points,
+            prior,
+            self.rate_prior_s,
+            self.exposure_at(points),
+            fine,
+            self.arena,
+            self.tuning,
         )
 
     def _refine(self, candidate: Candidate) -> None:
@@ -459,14 +458,14 @@ class Mixture:
 
     def _bury(self) -> None:
         """Drop candidates that nothing supports any more; what they held is unclaimed again."""
-        for candidate in [c for c in self.candidates if c.receptions < DEATH_RECEPTIONS]:
+        for candidate in [c for c in self.candidates if c.receptions < self.tuning.death_receptions]:
             for number, share in candidate.share.items():
                 self.unclaimed[number] = min(1.0, self.unclaimed[number] + share)
             self.remove(candidate)
 
     def _fold(self) -> None:
-        """Close old detections beyond `MAX_OPEN`: of sources that have many, so that no rare one is forgotten."""
-        while len(self.open) > MAX_OPEN:
+        """Close old detections beyond `max_open`: of sources that have many, so that no rare one is forgotten."""
+        while len(self.open) > self.tuning.max_open:
             number = self._to_fold()
             for candidate in self.candidates:
                 candidate.forget(number)
@@ -480,6 +479,6 @@ class Mixture:
         }
         of: dict[int, list[int]] = {}
         for number, candidate in owner.items():
-            claimed = candidate is not None and candidate.share.get(number, 0.0) >= CLAIMED
+            claimed = candidate is not None and candidate.share.get(number, 0.0) >= self.tuning.claimed
             of.setdefault(candidate.ident if claimed and candidate is not None else 0, []).append(number)
         return max(of.values(), key=len)[0]

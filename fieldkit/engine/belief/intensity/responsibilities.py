@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, starts_table
-from fieldkit.engine.belief.intensity.candidate import RATE_SHAPE, Candidate, active_entries
+from fieldkit.engine.belief.intensity.candidate import Candidate, active_entries
 from fieldkit.messages import FloatArray
 
 MOVED = 1e-6
@@ -36,6 +36,7 @@ def share_out(
     log_unknown: FloatArray,
     log_clutter: FloatArray,
     mean_exposure_s: Callable[[], FloatArray],
+    rate_shape: float,
     rate_prior_s: float,
     left: Shares,
     *,
@@ -63,7 +64,7 @@ def share_out(
             log_exposure,
             np.array([candidate.receptions for candidate in candidates]),
             mean_exposure_s(),
-            RATE_SHAPE,
+            rate_shape,
             rate_prior_s,
             log_unknown,
             log_clutter,
