@@ -71,16 +71,7 @@ def collect(
 
     if not period_s > 0.0:
         raise ConfigError(f"--period-s: expected a time above zero, got {period_s}")
-    if vehicle and positions:
-        raise ConfigError("--vehicle and --positions: positions come from one of them; leave one out")
-    if (vehicle or positions) and not address:
-        raise ConfigError("--address: where is it? as udpin:0.0.0.0:14550 for a vehicle's telemetry")
-    if (vehicle or positions) and turns:
-        raise ConfigError(
-            "--turns: with --vehicle or --positions the heading is measured; turn the robot instead"
-        )
-    if vehicle and origin == (0.0, 0.0):
-        raise ConfigError("--origin: give latitude and longitude of some point of the field, within a few km")
+    _check_positions(vehicle, positions, address, turns, origin)
     clock = RealClock()
     around = DriverContext(clock, FieldFrame(*origin))
     where = None
@@ -111,6 +102,22 @@ def collect(
     typer.echo(f"{out}: {count} place{'s' * (count != 1)}; recording: {log}")
     if count:
         typer.echo(f"now: fieldkit calibrate fit {out} -o antenna.toml --report report.html")
+
+
+def _check_positions(
+    vehicle: str, positions: str, address: str, turns: int, origin: tuple[float, float]
+) -> None:
+    """Raises `ConfigError` where the options for measured positions contradict each other."""
+    if vehicle and positions:
+        raise ConfigError("--vehicle and --positions: positions come from one of them; leave one out")
+    if (vehicle or positions) and not address:
+        raise ConfigError("--address: where is it? as udpin:0.0.0.0:14550 for a vehicle's telemetry")
+    if (vehicle or positions) and turns:
+        raise ConfigError(
+            "--turns: with --vehicle or --positions the heading is measured; turn the robot instead"
+        )
+    if vehicle and origin == (0.0, 0.0):
+        raise ConfigError("--origin: give latitude and longitude of some point of the field, within a few km")
 
 
 def _ask(question: str) -> str:

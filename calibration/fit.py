@@ -123,7 +123,24 @@ def decide_missed(readings: Readings, wish: Missed) -> Missed:
     return "counted" if readings.missed.any() else "none"
 
 
-def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
+@dataclass(frozen=True, slots=True)
+class _Agreed:
+    """Where the rounds of fitting, leaving out and fitting again have come to rest."""
+
+    theta: FloatArray
+    converged: bool
+    threshold: Threshold
+    readings: Readings
+    """Without what was left out."""
+    rows: Rows
+    censor_dbm: float | None
+    saturation_dbm: float | None
+    n_outliers: int
+    n_lost: int
+
+
+def _agree(readings: Readings, missed: Missed, options: Options) -> _Agreed:
+    """Fit until what counts as an outlier, as saturated and as hidden by the threshold no longer changes."""
     n_outliers = n_lost = 0
     saturation, offsets = options.saturation_dbm, options.receiver_offsets
     level = readings.rss_dbm[~readings.missed]
@@ -158,10 +175,18 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
             break
         censor = wanted
     assert theta is not None
+    return _Agreed(theta, converged, threshold, readings, rows, censor, saturation, n_outliers, n_lost)
+
+
+def _fit(every: Readings, missed: Missed, options: Options) -> FitResult:
+    agreed = _agree(every, missed, options)
+    theta, rows, readings = agreed.theta, agreed.rows, agreed.readings
+    saturation, threshold = agreed.saturation_dbm, agreed.threshold
+    sigma = float(np.exp(theta[-1]))
     covariance, naive, quantile = clustered(theta, rows)
     result = FitResult(
         antenna=Antenna(float(theta[1]), float(theta[0]), sigma, threshold.dbm, saturation),
-        converged=converged and bool(np.all(np.isfinite(covariance))),
+        converged=agreed.converged and bool(np.all(np.isfinite(covariance))),
         theta=theta,
         covariance=covariance,
         naive_covariance=naive,
@@ -174,14 +199,14 @@ def _fit(readings: Readings, missed: Missed, options: Options) -> FitResult:
         sigma_place_db=None,
         nll=likelihood.nll(theta, rows),
         n_readings=int((~readings.missed).sum()),
-        n_missed=int(readings.missed.sum()) + n_lost,
+        n_missed=int(readings.missed.sum()) + agreed.n_lost,
         n_saturated=0 if saturation is None else int((readings.rss_dbm >= saturation).sum()),
         n_places=readings.n_places,
-        n_outliers=n_outliers,
-        n_lost_near=n_lost,
+        n_outliers=agreed.n_outliers,
+        n_lost_near=agreed.n_lost,
         readings=readings,
         rows=rows,
-        censor_dbm=censor,
+        censor_dbm=agreed.censor_dbm,
     )
     time_db, place_db = split_sigma(readings, sigma, saturation)
     by_receiver = offsets_of(result) if options.receiver_offsets else {}

@@ -1,9 +1,12 @@
 """`fieldkit survey`. What it needs is imported when it runs."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+
+if TYPE_CHECKING:
+    from drivers.positions.survey import Result
 
 
 def survey(
@@ -103,17 +106,23 @@ def survey(
     result.notes[:0] = notes
     if geojson is not None:
         write_whole(geojson, json.dumps(as_geojson(result, track)))
-    told = plain(result)
     if as_json:
-        typer.echo(json.dumps(told))
+        typer.echo(json.dumps(plain(result)))
         return
+    _print(result, plain(result))
+    if geojson is not None:
+        typer.echo(f"written: {geojson}")
+
+
+def _print(result: "Result", plain: dict[str, Any]) -> None:
+    """The result in words; `plain` is its JSON."""
     typer.echo(
         f"{result.readings} readings in {result.duration_s:.0f} s, {result.detections} transmissions; "
         f"{result.without_place} readings at moments without a position"
     )
-    for note in told["notes"]:
+    for note in plain["notes"]:
         typer.echo(f"note: {note}")
-    for each in told["candidates"]:
+    for each in plain["candidates"]:
         place = f"{each['east_m']:8.2f} m east {each['north_m']:8.2f} m north"
         if "lat_deg" in each:
             place += f"  ({each['lat_deg']:.6f}, {each['lon_deg']:.6f})"
@@ -121,7 +130,5 @@ def survey(
             f"{each['state']:9} {place}  +- {each['sigma_m']:.2f} m, {each['receptions']:.0f} receptions"
             + (f"; {each['note']}" if each["note"] else "")
         )
-    if not told["candidates"]:
+    if not plain["candidates"]:
         typer.echo("no transmitter found")
-    if geojson is not None:
-        typer.echo(f"written: {geojson}")

@@ -22,47 +22,12 @@ FEW_RECEPTIONS = 3.0
 
 def write_report(log: Path, out: Path) -> dict[str, Any]:
     """Write the page on recording `log` to `out`, whole or not at all; its key figures."""
-    from mission.analysis import plots
-
     history = read_story(log)
-    rows = stretches(history)
     covered = searched(history)
     refined = refinements(history)
     kernel = history.mission.kernel.engine
     fit = model_fit([d for _, d in history.detections], refined, kernel.antenna, kernel.pose_sigma_m)
-    by_ident = {each.ident: each for each in refined}
-    wrong = faults(history)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    page = environment.get_template("report.html.j2").render(
-        name=history.mission.file.name,
-        version=__version__,
-        log=log.name,
-        history=history,
-        duration=words.minutes(history.duration_s),
-        cards=_cards(history, covered),
-        found=words.found(history),
-        silent=words.silent(history, covered),
-        fit_words=words.fit(fit),
-        ending=words.ending(history),
-        sources=[_row(history, source, by_ident.get(source.ident)) for source in _shown(history)],
-        uses=use(history, rows),
-        percent=words.percent,
-        faults=wrong,
-        notes=[note for note in history.notes if note[1] not in ("warning", "error")],
-        stretches=rows,
-        map=plots.svg(plots.field_map(history)),
-        searched=plots.svg(plots.searched_map(history, covered)),
-        residuals=plots.svg(plots.residuals(fit)) if fit.residual_db.size >= 10 else "",
-        fits=_fit_by_robot(history, fit),
-        probability=plots.svg(plots.probability_over_time(history)),
-        heard=plots.svg(plots.detections_over_time(history)),
-        use=plots.svg(plots.use_of_robots(history, rows)),
-    )
-    write_whole(out, page)
+    write_whole(out, _page(log.name, history, covered, refined, fit))
     return {
         "recording": str(log),
         "complete": history.recording.complete,
@@ -72,7 +37,7 @@ def write_report(log: Path, out: Path) -> dict[str, Any]:
         "found": len(history.found),
         "searched_share": round(covered.searched_share, 4),
         "probability_left": round(history.left[-1][1], 4) if history.left else None,
-        "faults": len(wrong),
+        "faults": len(faults(history)),
         "fit": {
             "readings": int(fit.residual_db.size),
             "bias_db": _plain(fit.bias_db),
@@ -91,6 +56,44 @@ def write_report(log: Path, out: Path) -> dict[str, Any]:
             for r in refined
         ],
     }
+
+
+def _page(name: str, history: History, covered: Coverage, refined: list[Refined], fit: Fit) -> str:
+    """The page on the recording of this name."""
+    from mission.analysis import plots
+
+    rows = stretches(history)
+    by_ident = {each.ident: each for each in refined}
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.get_template("report.html.j2").render(
+        name=history.mission.file.name,
+        version=__version__,
+        log=name,
+        history=history,
+        duration=words.minutes(history.duration_s),
+        cards=_cards(history, covered),
+        found=words.found(history),
+        silent=words.silent(history, covered),
+        fit_words=words.fit(fit),
+        ending=words.ending(history),
+        sources=[_row(history, source, by_ident.get(source.ident)) for source in _shown(history)],
+        uses=use(history, rows),
+        percent=words.percent,
+        faults=faults(history),
+        notes=[note for note in history.notes if note[1] not in ("warning", "error")],
+        stretches=rows,
+        map=plots.svg(plots.field_map(history)),
+        searched=plots.svg(plots.searched_map(history, covered)),
+        residuals=plots.svg(plots.residuals(fit)) if fit.residual_db.size >= 10 else "",
+        fits=_fit_by_robot(history, fit),
+        probability=plots.svg(plots.probability_over_time(history)),
+        heard=plots.svg(plots.detections_over_time(history)),
+        use=plots.svg(plots.use_of_robots(history, rows)),
+    )
 
 
 def searched(history: History) -> Coverage:

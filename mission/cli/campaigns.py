@@ -95,11 +95,7 @@ def analyze(
             workers=workers,
             dask=dask,
         )
-    if len(refused) == len(jobs):
-        columns: list[str] = []
-        rows: list[tuple[Any, ...]] = []
-    else:
-        columns, rows = campaign.ask(to, jobs, sql)
+    columns, rows = ([], []) if len(refused) == len(jobs) else campaign.ask(to, jobs, sql)
     if as_json:
         answer = [dict(zip(columns, row, strict=True)) for row in rows]
         said = {"recordings": len(jobs), "taken_in_now": new, "refused": refused, "answer": answer}

@@ -22,6 +22,7 @@ from mission.cli.options import (
 if TYPE_CHECKING:
     from mission.replay.command import Changes
     from mission.shell.recorder import Follower
+    from mission.shell.runner import Runner
 
 UNCONFIRMED_EXIT = 4
 """Exit code of a mission whose vehicles have not all shown that they hold."""
@@ -52,16 +53,14 @@ def run(
 
     Example: fieldkit run mission.toml
     """
-    from fieldkit.errors import ConfigError, FieldkitError
+    from fieldkit.errors import ConfigError
     from fieldkit.files import write_whole
     from fieldkit.recording.reader import open_recording
-    from mission.analysis.report import write_report
     from mission.core.mission_file import read_mission
-    from mission.replay.command import plain_source
     from mission.replay.replay import resumable
     from mission.shell import setups
     from mission.shell.flight import fly
-    from mission.shell.terminal import Watch, sources_table
+    from mission.shell.terminal import Watch
     from mission.shell.warm_up import warm_up
 
     past = None if resume is None else open_recording(resume)
@@ -85,6 +84,16 @@ def run(
         runner = fly(
             mission, setup, folder / "mission.mcap", watch.show, page=shown, override=override, past=past
         )
+    _print_flown(runner, folder, as_json=as_json)
+
+
+def _print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
+    """What was found, then the report, then who does not hold: exit code 4 where somebody does not."""
+    from fieldkit.errors import FieldkitError
+    from mission.analysis.report import write_report
+    from mission.replay.command import plain_source
+    from mission.shell.terminal import sources_table
+
     finds = [plain_source(source) for source in runner.kernel.sources()]
     if as_json:
         print_json(
@@ -183,7 +192,6 @@ def replay(
     from fieldkit.errors import ConfigError, FieldkitError
     from mission.replay.command import Changes, replay_one
     from mission.replay.pace import Pace, line
-    from mission.shell.terminal import sources_table
 
     changed = Changes(antenna, belief, planner, tuple(changes or ()), whatif)
     if page and (speed is None or len(logs) != 1):
@@ -202,24 +210,30 @@ def replay(
             worst = error.exit_code if worst != 1 else 1
             plain = {"recording": str(log), "identical": False, "error": str(error)}
         results.append(plain)
-        if as_json:
-            continue
-        if "error" in plain:
-            typer.echo(f"{log}: {plain['error']}")
-            continue
-        if plain["missing"]:
-            say(f"note: {log} is not whole: {plain['missing']}")
-        typer.echo(
-            f"{log}: {plain['events']} events, {plain['duration_s']:.0f} s of mission, {plain['times_real_time']:.0f} "
-            f"times real time: {plain['verdict']}\n"
-            f"belief {plain['belief_hash'][:16]}  commands {plain['commands_hash'][:16]}"
-        )
-        if len(logs) == 1:
-            sources_table(plain["sources"])
+        if not as_json:
+            _print_replayed(log, plain, whole=len(logs) == 1)
     if as_json:
         print_json(results[0] if len(logs) == 1 else results)
     if worst:
         raise typer.Exit(worst)
+
+
+def _print_replayed(log: Path, plain: dict[str, Any], *, whole: bool) -> None:
+    """What came of replaying one recording; `whole`: with its sources."""
+    from mission.shell.terminal import sources_table
+
+    if "error" in plain:
+        typer.echo(f"{log}: {plain['error']}")
+        return
+    if plain["missing"]:
+        say(f"note: {log} is not whole: {plain['missing']}")
+    typer.echo(
+        f"{log}: {plain['events']} events, {plain['duration_s']:.0f} s of mission, {plain['times_real_time']:.0f} "
+        f"times real time: {plain['verdict']}\n"
+        f"belief {plain['belief_hash'][:16]}  commands {plain['commands_hash'][:16]}"
+    )
+    if whole:
+        sources_table(plain["sources"])
 
 
 def report(

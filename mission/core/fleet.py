@@ -57,7 +57,7 @@ class Fleet:
         if robot.pose is None or robot.held:
             return False
         down_ns = robot.receiver_down_ns
-        if down_ns is not None and (now_ns - down_ns) * 1e-9 > self.settings.receiver_down_limit_s:
+        if down_ns is not None and (now_ns - down_ns) * 1e-9 > self.settings.radio.timeout_s:
             return False
         vehicle = robot.vehicle
         return vehicle is None or (vehicle.link_up and vehicle.mode in ("guided", "hold"))
@@ -84,10 +84,10 @@ class Fleet:
 
     def range_m(self, name: str) -> float | None:
         """How far a robot can drive until its battery is at the reserve; None where that is not known."""
-        vehicle, cost = self.robots[name].vehicle, self.settings.battery_pct_per_m
-        if vehicle is None or vehicle.battery_pct is None or cost <= 0.0:
+        vehicle, limits = self.robots[name].vehicle, self.settings.battery
+        if vehicle is None or vehicle.battery_pct is None or limits.pct_per_m <= 0.0:
             return None
-        return max(0.0, vehicle.battery_pct - self.settings.battery_reserve_pct) / cost
+        return max(0.0, vehicle.battery_pct - limits.reserve_pct) / limits.pct_per_m
 
     def distance_m(self, name: str, target: Waypoint) -> float:
         """How far a steerable robot is from a way-point."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from fieldkit import settings as given
 from fieldkit.engine.settings import EngineSettings
+from mission.safety.limits import BatteryLimits, RadioLimits
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +29,7 @@ class KernelSettings:
     """End when the probability that a source is left falls below this."""
     stop_after_periods: int | None = None
     """End when nothing more was found in so many planning periods in a row: k_max of RWA and PRWA's Algorithm 2."""
-    receiver_down_limit_s: float = given.RADIO_TIMEOUT_S.default
-    """A robot whose radio is down for longer is not planned for: its team goes on without it."""
-    battery_reserve_pct: float = given.BATTERY_RESERVE_PCT.default
-    """What must be left when a robot is home again."""
-    battery_pct_per_m: float = 0.0
-    """What a metre costs; 0 where it is not known: then no path is too long."""
+    radio: RadioLimits = field(default_factory=RadioLimits)
+    battery: BatteryLimits = field(default_factory=BatteryLimits)
     idle_limit_s: float = given.IDLE_LIMIT_S
     """End when no robot could be steered for this long: somebody has to look."""

@@ -20,7 +20,7 @@ from fieldkit.geometry.polygons import KeepOut
 from fieldkit.tuning import Tuning
 from mission.core.kernel_settings import KernelSettings
 from mission.core.tables import MissionFile, rectangle
-from mission.safety.rules import SafetySettings
+from mission.safety.limits import BatteryLimits, RadioLimits, SafetySettings
 
 SCHEMA = 1
 LONGEST_INPUT = 120
@@ -194,78 +194,91 @@ def assemble(
     `tuning` holds where the file says nothing: that of a recording, for one that is replayed.
     """
     field = file.field
+    safety = _safety(file)
+    engine = _engine(file, antenna, safety, tuning.with_tables(file.tuning), where)
+    kernel = _kernel(file, engine, safety)
+    frame = FieldFrame(field.origin_lat_deg, field.origin_lon_deg, field.origin_alt_m)
+    return Mission(file, text, antenna_text, antenna, frame, kernel, safety, where)
+
+
+def _safety(file: MissionFile) -> SafetySettings:
+    """The limits of the mission. Engine and kernel take theirs from here."""
+    field, table = file.field, file.safety
+    braking_m = given.braking_m(table.max_speed_m_s) if table.braking_m is None else table.braking_m
+    return SafetySettings(
+        robots=tuple(robot for team in file.team for robot in team.robots),
+        size_east_m=field.size_east_m,
+        size_north_m=field.size_north_m,
+        fence_margin_m=file.margin_m,
+        max_speed_m_s=table.max_speed_m_s,
+        max_leg_m=table.max_leg_m,
+        pose_timeout_s=table.pose_timeout_s,
+        min_separation_m=table.min_separation_m,
+        keep_out=KeepOut(field.keep_out, field.fence, file.margin_m),
+        overrun_s=table.overrun_s,
+        radio=RadioLimits(table.radio_timeout_s, table.radio_return_s),
+        stall_s=table.stall_s,
+        call_after_s=table.call_after_s,
+        battery=BatteryLimits(table.battery_reserve_pct, table.battery_pct_per_m, table.battery_low_v),
+        vertical_separation_m=table.vertical_separation_m,
+        braking_m=braking_m,
+        altitude_m=file.altitudes_m(),
+    )
+
+
+def _engine(
+    file: MissionFile, antenna: AntennaFile, safety: SafetySettings, tuning: Tuning, where: str
+) -> EngineSettings:
+    """What belief and planner need, within the limits of safety."""
+    field, table = file.field, file.engine
     # The calibration's own uncertainty widens every reading; at the range where most readings are made.
     typical_m = float(np.median(antenna.antenna.nominal_range_m(np.array(file.sources.power_levels_db))))
     sigma_db = float(predictive_sigma_db(antenna, typical_m))
-    radio = with_pattern(antenna) if file.engine.sensing == "directional" else antenna.antenna
-    engine = EngineSettings(
+    radio = with_pattern(antenna) if table.sensing == "directional" else antenna.antenna
+    return EngineSettings(
         grid=Grid(field.size_east_m, field.size_north_m, field.cell_m),
         antenna=replace(radio, sigma_db=sigma_db),
         teams=tuple(team.robots for team in file.team),
         power_levels_db=file.sources.power_levels_db,
-        found_probability=file.engine.found_probability,
-        min_receptions=file.engine.min_receptions,
+        found_probability=table.found_probability,
+        min_receptions=table.min_receptions,
         spread=_spread(file, antenna, where),
-        found_within_m=file.engine.found_within_m,
+        found_within_m=table.found_within_m,
         reference_rate_hz=file.sources.rate_hz,
         expected_sources=file.sources.expected,
-        planning_period_s=file.engine.planning_period_s,
-        max_speed_m_s=file.safety.max_speed_m_s,
+        planning_period_s=table.planning_period_s,
+        max_speed_m_s=safety.max_speed_m_s,
         max_turn_deg_s=file.safety.max_turn_deg_s,
-        min_separation_m=file.safety.min_separation_m,
-        fence_margin_m=file.margin_m,
-        pose_sigma_m=file.engine.pose_sigma_m,
-        keep_out=KeepOut(field.keep_out, field.fence, file.margin_m),
+        min_separation_m=safety.min_separation_m,
+        fence_margin_m=safety.fence_margin_m,
+        pose_sigma_m=table.pose_sigma_m,
+        keep_out=safety.keep_out,
         seed=file.seed,
-        prior_rule=file.engine.prior_rule,
-        sensing=file.engine.sensing,
-        directional_form=file.engine.directional_form,
-        group_gap_m=file.engine.group_gap_m,
-        normalised_entropy=file.engine.normalised_entropy,
-        tuning=tuning.with_tables(file.tuning),
+        prior_rule=table.prior_rule,
+        sensing=table.sensing,
+        directional_form=table.directional_form,
+        group_gap_m=table.group_gap_m,
+        normalised_entropy=table.normalised_entropy,
+        tuning=tuning,
     )
-    kernel = KernelSettings(
+
+
+def _kernel(file: MissionFile, engine: EngineSettings, safety: SafetySettings) -> KernelSettings:
+    """What decides where robots go and when the mission is over, within the limits of safety."""
+    arrive_m = file.engine.arrive_m or given.arrive_m(safety.max_speed_m_s, engine.pose_sigma_m)
+    return KernelSettings(
         engine,
         belief=file.engine.belief,
         planner=file.engine.planner,
         association_window_s=file.association.window_s,
         association_lateness_s=file.association.lateness_s,
         max_pose_gap_s=file.association.max_pose_gap_s,
-        arrive_m=file.engine.arrive_m or given.arrive_m(file.safety.max_speed_m_s, file.engine.pose_sigma_m),
-        altitude_m=file.altitudes_m(),
+        arrive_m=arrive_m,
+        altitude_m=safety.altitude_m,
         max_duration_s=file.end.max_duration_s,
-        receiver_down_limit_s=file.safety.radio_timeout_s,
-        battery_reserve_pct=file.safety.battery_reserve_pct,
-        battery_pct_per_m=file.safety.battery_pct_per_m,
+        radio=safety.radio,
+        battery=safety.battery,
         sources_expected=file.end.sources_found,
         stop_probability_left=file.end.probability_left,
         stop_after_periods=file.end.periods_without_find,
     )
-    safety = SafetySettings(
-        robots=engine.robots,
-        size_east_m=field.size_east_m,
-        size_north_m=field.size_north_m,
-        fence_margin_m=file.margin_m,
-        max_speed_m_s=file.safety.max_speed_m_s,
-        max_leg_m=file.safety.max_leg_m,
-        pose_timeout_s=file.safety.pose_timeout_s,
-        min_separation_m=file.safety.min_separation_m,
-        keep_out=engine.keep_out,
-        overrun_s=file.safety.overrun_s,
-        radio_timeout_s=file.safety.radio_timeout_s,
-        radio_return_s=file.safety.radio_return_s,
-        stall_s=file.safety.stall_s,
-        call_after_s=file.safety.call_after_s,
-        battery_reserve_pct=file.safety.battery_reserve_pct,
-        battery_pct_per_m=file.safety.battery_pct_per_m,
-        battery_low_v=file.safety.battery_low_v,
-        vertical_separation_m=file.safety.vertical_separation_m,
-        braking_m=(
-            given.braking_m(file.safety.max_speed_m_s)
-            if file.safety.braking_m is None
-            else file.safety.braking_m
-        ),
-        altitude_m=file.altitudes_m(),
-    )
-    frame = FieldFrame(field.origin_lat_deg, field.origin_lon_deg, field.origin_alt_m)
-    return Mission(file, text, antenna_text, antenna, frame, kernel, safety, where)

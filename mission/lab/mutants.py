@@ -26,8 +26,8 @@ TIMEOUT_S = 240.0
 """A mutant that hangs its tests is noticed as well."""
 TARGETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "safety": (
-        ("mission/safety/rules.py", "mission/safety/monitor.py", "mission/safety/separation.py",
-         "mission/safety/return_sequence.py"),
+        ("mission/safety/rules.py", "mission/safety/limits.py", "mission/safety/monitor.py",
+         "mission/safety/separation.py", "mission/safety/return_sequence.py"),
         ("tests/mission/test_safety.py", "tests/mission/test_escalation.py", "tests/mission/test_separation.py",
          "tests/mission/test_return_sequence.py", "tests/mission/test_monitor.py",
          "tests/mission/test_watched.py", "tests/mission/test_safety_rules.py"),

@@ -6,15 +6,12 @@ a call for the operator.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from fieldkit import settings as given
-from fieldkit.geometry.polygons import NOWHERE, KeepOut
 from fieldkit.geometry.segments import Place, Segment, standing
 from fieldkit.messages import Pose, ReceiverState, VehicleState
+from mission.safety.limits import SafetySettings
 
 LONG_AGO_NS = -(2**62)
 JUMP_SLACK_M = 0.5
@@ -39,66 +36,6 @@ FAST_SLACK_M_S = 0.2
 FAST_S = 3.0
 ACQUIRE_S = 10.0
 """A vehicle that the operator has asked to be acquired anew may show its old mode for so long."""
-
-
-@dataclass(frozen=True, slots=True)
-class SafetySettings:
-    """Limits no command passes. Defaults and their meaning stand in `fieldkit.settings`.
-
-    The fence is that of `keep_out`, or the field's rectangle where it has none. Way-points stay `fence_margin_m`
-    inside it and off closed ground.
-    """
-
-    robots: tuple[str, ...]
-    size_east_m: float
-    size_north_m: float
-    fence_margin_m: float = given.FENCE_MARGIN_M.default
-    max_speed_m_s: float = given.MAX_SPEED_M_S.default
-    max_leg_m: float = given.MAX_LEG_M.default
-    pose_timeout_s: float = given.POSE_TIMEOUT_S.default
-    min_separation_m: float = given.MIN_SEPARATION_M.default
-    vertical_separation_m: float = given.VERTICAL_SEPARATION_M.default
-    keep_out: KeepOut = NOWHERE
-    overrun_s: float = given.OVERRUN_S.default
-    radio_timeout_s: float = given.RADIO_TIMEOUT_S.default
-    radio_return_s: float = given.RADIO_RETURN_S.default
-    stall_s: float = given.STALL_S.default
-    call_after_s: float = given.CALL_AFTER_S.default
-    battery_reserve_pct: float = given.BATTERY_RESERVE_PCT.default
-    battery_pct_per_m: float = given.BATTERY_PCT_PER_M.default
-    """What a metre costs; half as much again is kept for the segment home. 0 where it is not known."""
-    battery_low_v: float = given.BATTERY_LOW_V.default
-    braking_m: float = 0.0
-    """How far a robot rolls on after it was told to hold."""
-    altitude_m: Mapping[str, float] = field(default_factory=dict, hash=False)
-    """Robots that fly, and how high."""
-
-    @property
-    def near_m(self) -> float:
-        """Robots nearer than this are too near: half the separation of way-points."""
-        return 0.5 * self.min_separation_m
-
-    @property
-    def bounds(self) -> KeepOut:
-        """What robots must keep out of, fence included, without a margin."""
-        return _bounds(self.keep_out, self.size_east_m, self.size_north_m, 0.0)
-
-    @property
-    def margins(self) -> KeepOut:
-        """The same with the margin that way-points keep."""
-        return _bounds(self.keep_out, self.size_east_m, self.size_north_m, self.fence_margin_m)
-
-    @property
-    def fence(self) -> KeepOut:
-        """The fence alone, with that margin."""
-        bare = replace(self.keep_out, polygons=())
-        return _bounds(bare, self.size_east_m, self.size_north_m, self.fence_margin_m)
-
-
-@lru_cache(maxsize=64)
-def _bounds(keep_out: KeepOut, east_m: float, north_m: float, margin_m: float) -> KeepOut:
-    rectangle = ((0.0, 0.0), (east_m, 0.0), (east_m, north_m), (0.0, north_m))
-    return replace(keep_out, fence=keep_out.fence or rectangle, margin_m=margin_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,10 +277,10 @@ def not_ready(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble 
         return Trouble("battery", reason, "return", 0.0)
     if robot.radio_down_ns is not None:
         down_s = (now_ns - robot.radio_down_ns) * 1e-9
-        if down_s > settings.radio_timeout_s:
+        if down_s > settings.radio.timeout_s:
             reason = f"its radio is down for {down_s:.0f} s"
             # By its own time: other troubles may come in between.
-            return Trouble("radio", reason, "return", 0.0 if down_s >= settings.radio_return_s else math.inf)
+            return Trouble("radio", reason, "return", 0.0 if down_s >= settings.radio.return_s else math.inf)
     return None
 
 
@@ -409,8 +346,9 @@ def _stall(robot: Watched, settings: SafetySettings, now_ns: int) -> str:
 def low_battery(robot: Watched, settings: SafetySettings) -> str:
     """Why its battery sends it home; empty while there is more than the reserve."""
     volts = None if robot.vehicle is None else robot.vehicle.battery_v
-    if settings.battery_low_v > 0.0 and volts is not None and volts <= settings.battery_low_v:
-        return f"its battery is at {volts:.1f} V, its limit is {settings.battery_low_v:.1f} V"
+    limit_v = settings.battery.low_v
+    if limit_v > 0.0 and volts is not None and volts <= limit_v:
+        return f"its battery is at {volts:.1f} V, its limit is {limit_v:.1f} V"
     if robot.vehicle is None or robot.vehicle.battery_pct is None:
         return ""
     left_pct, reserve_pct = robot.vehicle.battery_pct, reserve_of(robot, settings)
@@ -423,4 +361,4 @@ def reserve_of(robot: Watched, settings: SafetySettings) -> float:
     """Battery, in percent, that it must keep here: half as much again as the way home costs, or the reserve."""
     here, home = robot.place_m, robot.home_m
     path_m = 0.0 if here is None or home is None else math.dist(here, home)
-    return max(settings.battery_reserve_pct, 1.5 * path_m * settings.battery_pct_per_m)
+    return max(settings.battery.reserve_pct, 1.5 * path_m * settings.battery.pct_per_m)

@@ -14,7 +14,8 @@ from fieldkit.geometry.polygons import KeepOut
 from fieldkit.geometry.routes import route
 from fieldkit.geometry.segments import Place, Segment, ever_m, standing
 from fieldkit.messages import CallOperator, Command, GoTo, Hold, Land, Return, Waypoint
-from mission.safety.monitor import LONG_AGO_NS, SLOW_M_S, SafetySettings, Watched
+from mission.safety.limits import SafetySettings
+from mission.safety.monitor import LONG_AGO_NS, SLOW_M_S, Watched
 from mission.safety.separation import are_layered
 
 SLOWEST_M_S = 0.1

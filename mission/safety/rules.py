@@ -42,7 +42,8 @@ from fieldkit.messages import (
     VehicleState,
     Waypoint,
 )
-from mission.safety.monitor import ACQUIRE_S, SafetySettings, Trouble, Watched, not_ready, trouble_of
+from mission.safety.limits import SafetySettings
+from mission.safety.monitor import ACQUIRE_S, Trouble, Watched, not_ready, trouble_of
 from mission.safety.return_sequence import ReturnSequence
 from mission.safety.separation import Occupancy, conflict, mark_too_near, occupancies
 

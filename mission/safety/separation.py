@@ -17,7 +17,8 @@ from fieldkit.geometry.segments import (
     nearest_m,
     standing,
 )
-from mission.safety.monitor import SafetySettings, Watched
+from mission.safety.limits import SafetySettings
+from mission.safety.monitor import Watched
 
 STARTS_S = 4.0
 """How much later than another a robot may set out: it turns on the spot first, or its order is sent again."""

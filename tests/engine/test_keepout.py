@@ -13,7 +13,8 @@ from fieldkit.engine.planning.infogain import InfoGainPlanner
 from fieldkit.geometry.polygons import KeepOut
 from fieldkit.messages import GoTo, Hold, Pose, Waypoint
 from mission.lab.bench import settings
-from mission.safety.rules import Safety, SafetySettings
+from mission.safety.limits import SafetySettings
+from mission.safety.rules import Safety
 
 SQUARE = KeepOut((((2.0, 2.0), (6.0, 2.0), (6.0, 6.0), (2.0, 6.0)),))
 L_SHAPE = KeepOut((((0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0)),))

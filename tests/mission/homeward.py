@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from fieldkit.messages import Command, GoTo, Pose, VehicleState, Waypoint
-from mission.safety.monitor import SafetySettings, Watched
+from mission.safety.limits import SafetySettings
+from mission.safety.monitor import Watched
 from mission.safety.return_sequence import ReturnSequence
 
 Place = tuple[float, float]

@@ -15,8 +15,9 @@ from fieldkit.messages import (
     VehicleState,
     Waypoint,
 )
+from mission.safety.limits import SafetySettings
 from mission.safety.monitor import Trouble, Watched
-from mission.safety.rules import Safety, SafetySettings
+from mission.safety.rules import Safety
 
 S = 1_000_000_000
 LIMITS = SafetySettings(("a", "b"), 100.0, 100.0, max_speed_m_s=1.0, min_separation_m=2.0, pose_timeout_s=2.0)

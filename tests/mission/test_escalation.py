@@ -18,6 +18,7 @@ from fieldkit.messages import (
     VehicleState,
     Waypoint,
 )
+from mission.safety.limits import BatteryLimits
 
 # Segments
 
@@ -299,7 +300,7 @@ def test_a_radio_that_comes_back_soon_changes_nothing() -> None:
 
 @pytest.mark.parametrize(("pct", "per_m", "goes"), [(30, 0.0, False), (25, 0.0, True), (30, 2.5, True)])
 def test_the_reserve_grows_with_the_way_home(pct: float, per_m: float, goes: bool) -> None:
-    field = Field(battery_pct_per_m=per_m)
+    field = Field(battery=BatteryLimits(pct_per_m=per_m))
     field.send(("a", 2.0, 12.0))
     field.tick(30)
     field.battery["a"] = pct

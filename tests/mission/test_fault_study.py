@@ -11,7 +11,7 @@ from fieldkit import jumploop
 from mission.lab.study import fault_flight, fault_judge, fault_kinds
 from mission.lab.study.fault_kinds import KINDS, LARGE, SMALL, Fault, Job, draw_faults
 from mission.lab.study.faults import summary, trial
-from mission.safety.rules import SafetySettings
+from mission.safety.limits import SafetySettings
 
 
 def test_faults_come_from_the_seed_and_every_kind_comes_up() -> None:

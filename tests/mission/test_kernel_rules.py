@@ -20,6 +20,7 @@ from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
 from mission.core.tasks import LATE_LEGS
 from mission.lab.synthetic import small_mission
+from mission.safety.limits import BatteryLimits, RadioLimits
 
 S = 1_000_000_000
 
@@ -158,7 +159,7 @@ def test_a_robot_whose_radio_is_down_for_longer_than_its_limit_is_left(
     settings: KernelSettings, limit_s: float
 ) -> None:
     for down_s, ours in ((limit_s - 0.1, True), (limit_s + 0.1, False)):
-        field = Driven(replace(settings, receiver_down_limit_s=limit_s), r1=FAR)
+        field = Driven(replace(settings, radio=RadioLimits(limit_s)), r1=FAR)
         field.kernel.step(ReceiverState(5 * S, "r1", False))
         field.kernel.step(ReceiverState(6 * S, "r1", False))
         assert steered(field, 5 + down_s) == ours
@@ -177,7 +178,7 @@ def test_orders_of_the_operator_end_steering_until_resumed(settings: KernelSetti
 
 
 def test_the_planner_is_told_what_the_battery_leaves_and_where_home_is(settings: KernelSettings) -> None:
-    field = Driven(replace(settings, battery_pct_per_m=0.5, battery_reserve_pct=25.0), r1=FAR)
+    field = Driven(replace(settings, battery=BatteryLimits(25.0, 0.5)), r1=FAR)
     for robot, left_pct in (("r1", 65.0), ("r2", 10.0)):
         field.kernel.step(VehicleState(0, robot, "guided", True, True, left_pct))
     field.put(1, "r1", 2.5, 1.5)

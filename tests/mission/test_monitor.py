@@ -11,8 +11,8 @@ from small_field import LIMITS, driven, kind, ns, on_its_way, pose, seen
 from fieldkit.geometry.polygons import KeepOut
 from fieldkit.geometry.segments import Segment
 from fieldkit.messages import ReceiverState, VehicleState
+from mission.safety.limits import BatteryLimits, RadioLimits, SafetySettings
 from mission.safety.monitor import (
-    SafetySettings,
     Trouble,
     Watched,
     low_battery,
@@ -247,7 +247,7 @@ def test_who_steers_a_robot_is_known_only_while_it_is_heard() -> None:
 
 @pytest.mark.parametrize(("timeout_s", "return_s"), [(10.0, 120.0), (3.0, 40.0)])
 def test_a_radio_down_holds_and_later_sends_home(timeout_s: float, return_s: float) -> None:
-    limits = replace(LIMITS, radio_timeout_s=timeout_s, radio_return_s=return_s, pose_timeout_s=1000.0)
+    limits = replace(LIMITS, radio=RadioLimits(timeout_s, return_s), pose_timeout_s=1000.0)
     robot = seen(pose(0, 50.0))
     robot.hear(ReceiverState(ns(5), "a", False))
     robot.hear(ReceiverState(ns(6), "a", False))  # said again: it has been down since the first time
@@ -268,7 +268,7 @@ def test_a_radio_down_holds_and_later_sends_home(timeout_s: float, return_s: flo
 def test_the_reserve_brings_it_home_one_and_a_half_times(
     reserve_pct: float, path_m: float, pct_per_m: float
 ) -> None:
-    limits = replace(LIMITS, battery_reserve_pct=reserve_pct, battery_pct_per_m=pct_per_m)
+    limits = replace(LIMITS, battery=BatteryLimits(reserve_pct, pct_per_m))
     robot = seen(pose(0, 50.0, 50.0), pose(100, 50.0 + 0.6 * path_m, 50.0 - 0.8 * path_m), settings=limits)
     must_keep_pct = max(reserve_pct, path_m * pct_per_m + path_m * pct_per_m / 2)
     for left_pct, low in ((must_keep_pct + 0.1, False), (must_keep_pct, True)):
@@ -290,7 +290,7 @@ def test_a_battery_is_low_at_its_limiting_voltage_where_there_is_one(
     robot = seen(pose(0, 50.0))
     assert low_battery(robot, LIMITS) == ""
     robot.vehicle = VehicleState(0, "a", "guided", True, battery_v=volts)
-    assert bool(low_battery(robot, replace(LIMITS, battery_low_v=limit_v))) == low
+    assert bool(low_battery(robot, replace(LIMITS, battery=BatteryLimits(low_v=limit_v)))) == low
 
 
 def test_what_stops_a_robot_under_way_does_not_keep_one_from_being_sent() -> None:

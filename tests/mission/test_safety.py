@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fieldkit.messages import CallOperator, GoTo, Hold, Operator, Pose, Return, Tick, VehicleState, Waypoint
-from mission.safety.rules import Safety, SafetySettings
+from mission.safety.limits import BatteryLimits, SafetySettings
+from mission.safety.rules import Safety
 
 S = 1_000_000_000
 LIMITS = SafetySettings(
@@ -146,7 +147,7 @@ def test_a_robot_faster_than_told_is_held_with_its_speed() -> None:
 
 
 def test_a_sinking_voltage_sends_home_where_per_cent_say_nothing() -> None:
-    safety = Safety(SafetySettings(("a",), 10.0, 8.0, battery_low_v=10.5))
+    safety = Safety(SafetySettings(("a",), 10.0, 8.0, battery=BatteryLimits(low_v=10.5)))
     safety.observe(Pose(0, "a", 2.0, 2.0))
     safety.observe(Pose(60 * S, "a", 5.0, 5.0))
     safety.observe(VehicleState(60 * S, "a", "guided", True, True, 98.0, battery_v=10.4))

@@ -19,7 +19,8 @@ from fieldkit.messages import (
     VehicleState,
     Waypoint,
 )
-from mission.safety.rules import Safety, SafetySettings
+from mission.safety.limits import SafetySettings
+from mission.safety.rules import Safety
 
 ALONE = SafetySettings(("a",), 40.0, 40.0, max_speed_m_s=1.0, min_separation_m=1.0)
 TWO = replace(ALONE, robots=("a", "b"))

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from fieldkit.geometry.segments import Segment, standing
 from fieldkit.messages import Pose, VehicleState
-from mission.safety.monitor import FADING_S, SafetySettings, Watched
+from mission.safety.limits import SafetySettings
+from mission.safety.monitor import FADING_S, Watched
 from mission.safety.separation import STARTS_S, are_layered, conflict, mark_too_near, occupancies
 
 Place = tuple[float, float]

@@ -55,7 +55,7 @@ def test_an_unplugged_radio_and_a_lost_link_stop_neither_mission_nor_record(tmp_
     assert {c.robot for number, c in allowed if number > held and isinstance(c, GoTo)} & {"r2", "r4"}
     # A robot that already stood, for a neighbour's sake say, is not told once more to hold: it is just not sent on.
     down = next(e for e in events if isinstance(e, ReceiverState) and e.robot == "r1" and not e.up)
-    receiver_down_ns = down.t_ns + round(mission.safety.radio_timeout_s * 1e9)
+    receiver_down_ns = down.t_ns + round(mission.safety.radio.timeout_s * 1e9)
     told = [c for _, c in allowed if isinstance(c, GoTo | Hold | Return) and c.robot == "r1"]
     assert not isinstance(told[-1], GoTo)
     assert not [c for c in told if isinstance(c, GoTo) and c.t_ns > receiver_down_ns]

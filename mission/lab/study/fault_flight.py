@@ -30,7 +30,7 @@ from mission.lab.study.fault_judge import measure
 from mission.lab.study.fault_kinds import ACTS, POLYGON, RESUMED, STOPS, Fault, Job, draw_faults
 from mission.lab.synthetic import ANTENNA, LEVELS_DB
 from mission.replay.replay import resumable
-from mission.safety.rules import SafetySettings
+from mission.safety.limits import SafetySettings
 from mission.shell.runner import Runner
 from mission.shell.setups import Setup, replace_options, start_places, with_vehicles
 
