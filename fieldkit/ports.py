@@ -56,7 +56,7 @@ class Traits:
 
 @dataclass(frozen=True, slots=True)
 class StoredFence:
-    """A vehicle's fence as it was before a mission changed it: what `put_fence` gives and `restore_fence` takes.
+    """A vehicle's fence as it was before a mission changed it: what `stored_fence` gives and `restore_fence` takes.
 
     `items` are rows of command, latitude and longitude in degrees times 1e7, altitude, four parameters.
     """
@@ -120,15 +120,19 @@ class VehicleLink(_Opened, Protocol):
         """How the vehicle moves, read from itself. Raises `DeviceTimeout` where it is not heard."""
         ...
 
-    async def put_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> StoredFence:
-        """Put corners (east, north) into the vehicle as its own fence and enable it; what was there before.
+    async def stored_fence(self, robot: str) -> StoredFence:
+        """The vehicle's own fence as it is. Raises `DeviceTimeout` where it cannot be read."""
+        ...
+
+    async def put_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> None:
+        """Put corners (east, north) into the vehicle as its own fence and enable it. What was there is gone.
 
         Raises `VehicleRefused` or `DeviceTimeout`.
         """
         ...
 
     async def restore_fence(self, stored: StoredFence) -> None:
-        """Put back what `put_fence` took away. Raises `VehicleRefused` or `DeviceTimeout`."""
+        """Put back what `stored_fence` read. Raises `VehicleRefused` or `DeviceTimeout`."""
         ...
 
     def release(self, robot: str) -> None:

@@ -199,11 +199,11 @@ async def _stops_and_gives_its_fence_back(bench: VehicleLinkBench) -> None:
         link.stop(robot)
         await tap.until(_is(robot, "hold"), f"{robot} holds though nobody waits for it")
         ours = [(east_m + e, north_m + n) for e, n in ((-9.0, -9.0), (9.0, -9.0), (9.0, 9.0), (-9.0, 9.0))]
-        before = await link.put_fence(robot, ours)
+        before = await link.stored_fence(robot)
+        await link.put_fence(robot, ours)
+        assert await link.stored_fence(robot) != before, f"{robot} has not got the fence it was given"
         await link.restore_fence(before)
-        again = await link.put_fence(robot, ours)
-        assert again == before, f"{robot} has not got its own fence back"
-        await link.restore_fence(before)
+        assert await link.stored_fence(robot) == before, f"{robot} has not got its own fence back"
         if not (await link.traits(robot)).flies:
             assert await _refuses(link.take_off(robot, 5.0)), f"{robot} does not fly, and takes off"
 

@@ -21,6 +21,8 @@ IN_HOLD = 1
 GOES_ON_WITH_PILOT = 16
 """FS_OPTIONS of a copter: in modes that a pilot flies, and Brake counts as one, the failsafe does nothing."""
 BOAT = 2
+TERMINATE = 5
+"""BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
 
 _BATTERY = (
     "BATT_FS_LOW_ACT",
@@ -204,9 +206,24 @@ def _battery(judge: _Judge, firmware: Firmware) -> list[Check]:
     if low == (0.0, 0.0):
         found = "BATT_LOW_VOLT and BATT_LOW_MAH are 0: never finds its battery low"
         return [judge.check(name, "amber", found, "BATT_LOW_VOLT (3.5 V a lithium cell)")]
+    if not _is_lower(judge["BATT_CRT_VOLT"], low[0]) or not _is_lower(judge["BATT_CRT_MAH"], low[1]):
+        found = (
+            f"critical ({judge['BATT_CRT_VOLT']:g} V, {judge['BATT_CRT_MAH']:g} mAh) is not below low "
+            f"({low[0]:g} V, {low[1]:g} mAh): it refuses to arm"
+        )
+        return [judge.check(name, "red", found, "BATT_CRT_VOLT and BATT_CRT_MAH lower, or 0")]
+    for own, limit in (("BATT_FS_LOW_ACT", "low"), ("BATT_FS_CRT_ACT", "critical")):
+        if judge[own] == TERMINATE:
+            found = f"{own} is {TERMINATE}: it cuts its motors when its battery is {limit}"
+            return [judge.check(name, "amber", found, f"{own} 2")]
     limits = [f"{low[0]:g} V"] if low[0] else []
     limits += [f"{low[1]:g} mAh left"] if low[1] else []
     return [judge.check(name, "green", f"acts at {' or '.join(limits)}")]
+
+
+def _is_lower(critical: float, low: float) -> bool:
+    """ArduPilot's own rule before arming; a limit of 0 is none."""
+    return not critical or not low or critical < low
 
 
 def _fence(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]:

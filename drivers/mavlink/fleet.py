@@ -328,12 +328,16 @@ class MavlinkLink:
         """How the vehicle moves, from its parameters."""
         return await self._talks.traits(await self._heard(robot))
 
-    async def put_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> StoredFence:
-        """Put corners (east, north) into the vehicle as the fence to stay in, and enable it; what was there before."""
-        return await self._talks.put_fence(await self._heard(robot), corners_m)
+    async def stored_fence(self, robot: str) -> StoredFence:
+        """The fence that the vehicle has."""
+        return await self._talks.stored_fence(await self._heard(robot))
+
+    async def put_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> None:
+        """Put corners (east, north) into the vehicle as the fence to stay in, and enable it."""
+        await self._talks.put_fence(await self._heard(robot), corners_m)
 
     async def restore_fence(self, stored: StoredFence) -> None:
-        """Put back what `put_fence` took away."""
+        """Put back what `stored_fence` read."""
         await self._talks.restore_fence(await self._heard(stored.robot), stored)
 
     async def upload_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> None:

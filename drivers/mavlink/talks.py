@@ -61,18 +61,21 @@ class Talks:
         corners = [self.frame.to_geodetic(east_m, north_m) for east_m, north_m in corners_m]
         return polygon_fence([(round(a * 1e7), round(o * 1e7)) for a, o, _ in corners])
 
-    async def put_fence(self, steered: Steered, corners_m: Sequence[tuple[float, float]]) -> StoredFence:
-        """Read what is there, put ours in its place, enable it."""
+    async def stored_fence(self, steered: Steered) -> StoredFence:
+        """What is there, and whether it is enabled."""
         robot, px4 = steered.vehicle.robot, steered.vehicle.firmware is PX4
         held = await self.download(steered, FENCE)
         enabled = None if px4 else (await self.parameters(steered, (ENABLED,)))[ENABLED]
         if enabled is None and not px4:
             raise DeviceTimeout(f"{robot}: {ENABLED} cannot be read: its fence is left as it is")
-        stored = StoredFence(robot, enabled, tuple(_row(item) for item in held))
+        return StoredFence(robot, enabled, tuple(_row(item) for item in held))
+
+    async def put_fence(self, steered: Steered, corners_m: Sequence[tuple[float, float]]) -> None:
+        """Put ours in the place of what is there, and enable it."""
+        robot, px4 = steered.vehicle.robot, steered.vehicle.firmware is PX4
         await self.upload(steered, FENCE, self.fence_of(corners_m))
         if not px4 and not await self.set_parameter(steered, ENABLED, 1.0):
             raise VehicleRefused(f"{robot}: its fence is put, but {ENABLED} stays off")
-        return stored
 
     async def restore_fence(self, steered: Steered, stored: StoredFence) -> None:
         """First off, then the old one in place, then as it was."""

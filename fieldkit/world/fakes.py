@@ -136,13 +136,16 @@ class FakeFleet:
         body = self.rovers[robot]
         return Traits(False, body.arrive_m, 0.0, body.max_speed_m_s, body.max_speed_m_s)
 
-    async def put_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> StoredFence:
+    async def stored_fence(self, robot: str) -> StoredFence:
+        """None, until it gets one."""
+        self._check(robot)
+        return self.fences.get(robot, StoredFence(robot, 0.0))
+
+    async def put_fence(self, robot: str, corners_m: Sequence[tuple[float, float]]) -> None:
         """It takes any."""
         self._check(robot)
-        stored = self.fences.get(robot, StoredFence(robot, 0.0))
         rows = tuple((0.0, east_m, north_m, 0.0, 0.0, 0.0, 0.0, 0.0) for east_m, north_m in corners_m)
         self.fences[robot] = StoredFence(robot, 1.0, rows)
-        return stored
 
     async def restore_fence(self, stored: StoredFence) -> None:
         """As it was."""

@@ -61,6 +61,7 @@ def fly(
 
         if past is not None:
             runner.rebuild(past.steps())
+            runner.fences.remember(note.text for _, note in past.notes())
 
         async def run() -> None:
             if setup.tap is not None:

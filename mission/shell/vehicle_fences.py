@@ -1,11 +1,12 @@
 """The fences that a mission puts into its vehicles, where its file asks for that, and what they held before.
 
-What was there is told to `note` before it is replaced, and put back by `restore`: nobody's own fence is gone.
+What was there is told to `note` before it is replaced, and put back by `restore`: nobody's own fence is gone. A mission
+that goes on after a kill `remember`s what the notes say, since what the vehicle holds by then is the mission's.
 """
 
 import asyncio
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 from fieldkit.checks import Check
@@ -13,6 +14,8 @@ from fieldkit.errors import DeviceError
 from fieldkit.ports import Demands, StoredFence, VehicleLink
 from mission.core.mission_file import Mission
 
+HELD_BEFORE = "the fence it held before: "
+"""Begins a note, after the robot's name; what follows is a `StoredFence` in JSON."""
 Note = Callable[[str, str], None]
 """Level and text."""
 
@@ -31,6 +34,17 @@ class VehicleFences:
     link_of: Mapping[str, VehicleLink]
     note: Note
     _stored: list[StoredFence] = field(default_factory=list)
+    _before: dict[str, StoredFence] = field(default_factory=dict)
+    """What vehicles held before an interrupted mission."""
+
+    def remember(self, texts: Iterable[str]) -> None:
+        """Take up what the notes of an interrupted mission say of fences. The first of a robot counts."""
+        for text in texts:
+            robot, found, held = text.partition(f": {HELD_BEFORE}")
+            if found and robot in self.link_of and robot not in self._before:
+                row = json.loads(held)
+                items = tuple(tuple(float(value) for value in item) for item in row["items"])
+                self._before[robot] = StoredFence(robot, row["enabled"], items)
 
     async def put(self, robots: Sequence[str]) -> list[Check]:
         """Each robot's fence, all at once; nothing where the mission file does not ask for it. Red where one failed."""
@@ -40,13 +54,15 @@ class VehicleFences:
 
         async def put(robot: str) -> Check | None:
             try:
-                stored = await self.link_of[robot].put_fence(robot, corners)
+                link = self.link_of[robot]
+                stored = self._before.get(robot) or await link.stored_fence(robot)
+                self.note("info", f"{robot}: {HELD_BEFORE}{json.dumps(asdict(stored))}")
+                self._stored.append(stored)
+                await link.put_fence(robot, corners)
             except DeviceError as error:
                 return Check(
                     robot, "fence", "red", str(error), "try again; is another ground station uploading?"
                 )
-            self.note("info", f"{robot}: the fence it held before: {json.dumps(asdict(stored))}")
-            self._stored.append(stored)
             return None
 
         return [

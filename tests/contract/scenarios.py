@@ -244,10 +244,12 @@ async def a_fence_is_put_and_put_back(drive: Drive) -> None:
     """What was in the vehicle before is there again afterwards."""
     east_m, north_m = drive.at
     own = square(east_m, north_m, 60.0)
-    before = await drive.link.put_fence(ROBOT, own)
+    before = await drive.link.stored_fence(ROBOT)
+    await drive.link.put_fence(ROBOT, own)
     kept = await drive.link.download(ROBOT, FENCE)
     ours = square(east_m, north_m, 40.0)
-    stored = await drive.link.put_fence(ROBOT, ours)
+    stored = await drive.link.stored_fence(ROBOT)
+    await drive.link.put_fence(ROBOT, ours)
     assert len(stored.items) == 4 and stored.enabled in (1.0, None)
     demands = Demands(10.0, ours, True, square(east_m, north_m, 30.0))
     checks = {check.name: check for check in await drive.link.inspect(ROBOT, demands)}

@@ -56,7 +56,8 @@ async def test_a_fence_that_a_team_had_is_back_after_a_mission():
     async with link_and_rover() as (link, rover):
         await link.upload_fence("ada", [(-30.0, -30.0), (30.0, -30.0), (0.0, 40.0)])
         own = await link.download("ada", FENCE)
-        stored = await link.put_fence("ada", SQUARE_M)
+        stored = await link.stored_fence("ada")
+        await link.put_fence("ada", SQUARE_M)
         assert len(rover.autopilot.plans.items[FENCE]) == 4
         assert rover.autopilot.parameters["FENCE_ENABLE"] == 1.0
         await link.restore_fence(stored)

@@ -78,8 +78,10 @@ class Vehicles:
     async def traits(self, robot: str) -> Traits:
         return Traits()
 
-    async def put_fence(self, robot: str, corners_m: object) -> StoredFence:
+    async def stored_fence(self, robot: str) -> StoredFence:
         return StoredFence(robot, None)
+
+    async def put_fence(self, robot: str, corners_m: object) -> None: ...
 
     async def restore_fence(self, stored: StoredFence) -> None: ...
 

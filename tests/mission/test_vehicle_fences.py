@@ -19,6 +19,7 @@ from mission.lab.synthetic import small_mission
 from mission.shell.preflight import preflight
 from mission.shell.runner import Runner
 from mission.shell.setups import Setup, start_places
+from mission.shell.vehicle_fences import HELD_BEFORE, VehicleFences
 
 OWN = StoredFence("r1", 1.0, ((5001.0, 1.0, 2.0, 0.0, 3.0, 0.0, 0.0, 0.0),) * 3)
 
@@ -106,3 +107,33 @@ def test_one_that_cannot_be_given_back_is_named_with_what_it_held(tmp_path: Path
     notes = fly(tmp_path, mission, setup_of(mission, Deaf))
     (told,) = [note for note in notes if note.startswith("r1: its own fence was not put back")]
     assert "5001" in told
+
+
+def test_what_was_there_is_noted_before_it_is_replaced(tmp_path: Path) -> None:
+    """A kill between the two must not lose it."""
+    mission = mission_with(tmp_path, True)
+    notes: list[str] = []
+
+    class Cut(FakeFleet):
+        async def put_fence(self, robot, corners_m):  # type: ignore[no-untyped-def]
+            assert any(note.startswith(f"{robot}: {HELD_BEFORE}") for note in notes)
+            await super().put_fence(robot, corners_m)
+
+    setup = setup_of(mission, Cut)
+    fences = VehicleFences(mission, {"r1": setup.links[0]}, lambda _, text: notes.append(text))
+    assert jumploop.run(fences.put(["r1"])) == []
+
+
+def test_after_a_kill_the_fence_that_was_there_before_the_mission_is_put_back(tmp_path: Path) -> None:
+    mission = mission_with(tmp_path, True)
+    setup = setup_of(mission)
+    fleet, notes = setup.links[0], []
+    links = {"r1": fleet, "r2": fleet}
+    killed = VehicleFences(mission, links, lambda _, text: notes.append(text))
+    jumploop.run(killed.put(["r1"]))  # and never restored
+    resumed = VehicleFences(mission, links, lambda _, text: notes.append(text))
+    resumed.remember([*notes, "r2: something else", "r9: the fence it held before: {}"])
+    jumploop.run(resumed.put(["r1", "r2"]))
+    assert fleet.fences["r1"] != OWN  # type: ignore[attr-defined]
+    jumploop.run(resumed.restore())
+    assert fleet.fences["r1"] == OWN  # type: ignore[attr-defined]
