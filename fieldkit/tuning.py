@@ -83,6 +83,9 @@ class IntensityTuning(_Table):
     refine_points: int = tuned(
         300, 12, 100_000, "", "points from which on a candidate gets four for each of its own", MEMORY
     )
+    most_points: int = tuned(
+        2_600, 100, 1_000_000, "", "points of a candidate; one on more ground has them further apart", MEMORY
+    )
     sweeps: int = tuned(3, 1, 50, "", "passes over the open detections at each new one", HAND)
     claimed: float = tuned(
         0.5, 0.05, 0.95, "", "responsibility from which a detection is a candidate's own", HAND
@@ -123,7 +126,7 @@ class IntensityTuning(_Table):
     place_rounds: int = tuned(6, 1, 100, "", "turns in which one of two places is chosen anew", HAND)
     re_estimated_from: int = tuned(30, 5, 1_000, "", "detections a re-estimate is made from", FACTORIAL)
     re_estimated_cells: float = tuned(
-        12.0, 2.0, 1_000.0, "cell", "how far from a candidate its source is sought", HAND
+        12.0, 2.0, 1_000.0, "cell", "how far beyond where a candidate may be its source is sought", HAND
     )
 
 

@@ -21,6 +21,8 @@ from fieldkit.messages import FloatArray
 
 UNKNOWN_POWER_DB = 10.0
 """Standard deviation of a source's power where no transmitters were compared."""
+KNOWN_POWER_DB = 0.1
+"""The same of sources whose power levels are known."""
 HYPER = (
     "sigma_time_db",
     "sigma_place_db",
@@ -92,8 +94,20 @@ def assumed(antenna: Antenna, data: dict[str, Any] | None = None) -> ChannelSpre
         place_db,
         correlation_m,
         assumed=f"the antenna file tells no place noise: {time_db:.1f} dB in time and {place_db:.1f} dB from place "
-        f"to place over {correlation_m:.0f} m are assumed, the source's power is taken for unknown "
-        f"(+-{UNKNOWN_POWER_DB:.0f} dB)",
+        f"to place over {correlation_m:.0f} m are assumed{_POWER_ASSUMED}",
+    )
+
+
+_POWER_ASSUMED = f", the source's power is taken for unknown (+-{UNKNOWN_POWER_DB:.0f} dB)"
+
+
+def known_power(spread: ChannelSpread) -> ChannelSpread:
+    """The same for sources whose power levels somebody knows: they differ by no more than was measured, if it was."""
+    measured = spread.transmitters >= 2
+    return replace(
+        spread,
+        transmitter_db=spread.transmitter_db if measured else KNOWN_POWER_DB,
+        assumed=spread.assumed.replace(_POWER_ASSUMED, ""),
     )
 
 

@@ -13,6 +13,8 @@ from fieldkit.errors import ConfigError
 from fieldkit.geometry.polygons import NOWHERE, KeepOut
 from fieldkit.tuning import Tuning
 
+FIND_M, FIND_RANGES, MOST_FIND_RANGES = 2.0, 0.1, 1.0 / 3.0
+"""A find is within 2 m or a tenth of the typical range, the larger; where that would say nothing, a third of it."""
 SENSING = ("levels", "pairwise", "directional")
 
 
@@ -47,7 +49,7 @@ class EngineSettings:
     """What readings of one place and one transmitter have in common; None: nothing, every reading stands alone."""
     found_within_m: float | None = None
     """A source is found when it is this near to the estimate; None: within one cell, without place noise, else 2 m or
-    a tenth of the typical range."""
+    a tenth of the typical range, at most a third of it."""
     pose_sigma_m: float = 0.05
     """Standard deviation of each coordinate of the robots' positions."""
     seed: int = 0
@@ -92,7 +94,9 @@ class EngineSettings:
     @property
     def place_noise(self) -> bool:
         """Whether readings of one place hang together."""
-        return self.spread is not None and self.spread.sigma_place_db > 0.0
+        return (
+            self.spread is not None and self.spread.sigma_place_db > 0.0 and self.spread.correlation_m > 0.0
+        )
 
     @property
     def find_radius_m(self) -> float | None:
@@ -100,7 +104,9 @@ class EngineSettings:
         if self.found_within_m is not None or not self.place_noise:
             return self.found_within_m
         typical_m = float(np.median(self.antenna.nominal_range_m(np.array(self.power_levels_db))))
-        return max(2.0, 0.1 * typical_m)
+        return float(
+            min(max(FIND_M, FIND_RANGES * typical_m), max(MOST_FIND_RANGES * typical_m, self.grid.cell_m))
+        )
 
     @property
     def robots(self) -> tuple[str, ...]:

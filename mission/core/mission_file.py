@@ -10,8 +10,14 @@ import pydantic
 
 from fieldkit import plugins
 from fieldkit import settings as given
-from fieldkit.channel.antenna_file import AntennaFile, predictive_sigma_db, read_antenna, with_pattern
-from fieldkit.channel.spread import ChannelSpread
+from fieldkit.channel.antenna_file import (
+    AntennaFile,
+    predictive_sigma_db,
+    read_antenna,
+    spread_of,
+    with_pattern,
+)
+from fieldkit.channel.spread import ChannelSpread, known_power
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
@@ -169,16 +175,15 @@ def _check_names(file: MissionFile, where: str) -> None:
             raise ConfigError(f"{where}: {key}: expected one of {', '.join(known)}, got {name!r}")
 
 
-def _spread(file: MissionFile, antenna: AntennaFile, where: str) -> ChannelSpread | None:
-    """What readings of one place have in common, where the mission asks for it and the antenna file tells."""
-    if not file.engine.place_noise:
+def _spread(file: MissionFile, antenna: AntennaFile) -> ChannelSpread | None:
+    """What readings of one place have in common: as measured, else as assumed, which preflight and `check` say.
+
+    Levels that the mission file gives are known; without any a source may be any transmitter.
+    """
+    if not file.engine.place_noise or file.engine.belief != "intensity":
         return None
-    if antenna.spread is None or antenna.spread.assumed:
-        raise ConfigError(
-            f"{where}: engine.place_noise: the antenna file has no measured place noise; calibrate with positions "
-            "of both radios at 20 places or more, or leave the key out"
-        )
-    return antenna.spread
+    spread = spread_of(antenna)
+    return known_power(spread) if "power_levels_db" in file.sources.model_fields_set else spread
 
 
 def assemble(
@@ -195,7 +200,7 @@ def assemble(
     """
     field = file.field
     safety = _safety(file)
-    engine = _engine(file, antenna, safety, tuning.with_tables(file.tuning), where)
+    engine = _engine(file, antenna, safety, tuning.with_tables(file.tuning))
     kernel = _kernel(file, engine, safety)
     frame = FieldFrame(field.origin_lat_deg, field.origin_lon_deg, field.origin_alt_m)
     return Mission(file, text, antenna_text, antenna, frame, kernel, safety, where)
@@ -227,7 +232,7 @@ def _safety(file: MissionFile) -> SafetySettings:
 
 
 def _engine(
-    file: MissionFile, antenna: AntennaFile, safety: SafetySettings, tuning: Tuning, where: str
+    file: MissionFile, antenna: AntennaFile, safety: SafetySettings, tuning: Tuning
 ) -> EngineSettings:
     """What belief and planner need, within the limits of safety."""
     field, table = file.field, file.engine
@@ -242,7 +247,7 @@ def _engine(
         power_levels_db=file.sources.power_levels_db,
         found_probability=table.found_probability,
         min_receptions=table.min_receptions,
-        spread=_spread(file, antenna, where),
+        spread=_spread(file, antenna),
         found_within_m=table.found_within_m,
         reference_rate_hz=file.sources.rate_hz,
         expected_sources=file.sources.expected,

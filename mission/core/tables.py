@@ -142,10 +142,10 @@ class EngineTable(Table):
     planner: str = "infogain"
     found_probability: float = value(given.FOUND_PROBABILITY)
     min_receptions: float = value(given.MIN_RECEPTIONS)
-    place_noise: Flag = False
+    place_noise: Flag = True
     """`intensity`: condition readings of one place on each other, as the antenna file's `channel` table tells."""
     found_within_m: Annotated[float, Field(strict=True, gt=0, le=1e5, allow_inf_nan=False)] | None = None
-    """A find is this near; without it within one cell, or with `place_noise` 2 m or a tenth of the typical range."""
+    """A find is this near; without it 2 m or a tenth of the typical range, or without `place_noise` within one cell."""
     planning_period_s: float = value(given.PLANNING_PERIOD_S)
     pose_sigma_m: float = value(given.POSE_SIGMA_M)
     arrive_m: Annotated[float, bounds(given.ARRIVE_M)] | None = None

@@ -66,7 +66,7 @@ class Result:
     time_to_all_s: float | None
     """When every true source had a find within one cell (Chebyshev), for good; None if never."""
     false_finds: int
-    """Finds further than two cells from every source, at the end."""
+    """Finds further than two cells, or twice what a find is within, from every source, at the end."""
 
 
 def simulate(
@@ -207,10 +207,11 @@ def _cover(kernel: Kernel, truth: Truth, t_s: float, covered_at: dict[int, float
 
 
 def count_false(kernel: Kernel, truth: Truth) -> int:
-    """Finds further than two cells from every source."""
-    cell = kernel.settings.engine.grid.cell_m
+    """Finds further than two cells from every source, or than twice what a find is said to be within."""
+    engine = kernel.settings.engine
+    far_m = 2.0 * max(engine.grid.cell_m, engine.find_radius_m or 0.0)
     return sum(
-        all(np.hypot(s.east_m - t.east_m, s.north_m - t.north_m) > 2.0 * cell for t in truth.sources)
+        all(np.hypot(s.east_m - t.east_m, s.north_m - t.north_m) > far_m for t in truth.sources)
         for s in kernel.sources()
         if s.state == "found"
     )

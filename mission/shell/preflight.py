@@ -175,6 +175,10 @@ def judge_calibration(mission: Mission, now_ns: int) -> list[Check]:
     level: Level = "green" if verdict == "accepted" else "red" if verdict == "refused" else "amber"
     remedy = "" if level == "green" else "; ".join(mission.antenna.reasons) or "calibrate again"
     checks = [Check(MISSION, "calibration", level, verdict, remedy)]
+    spread = mission.kernel.engine.spread
+    if spread is not None and spread.assumed:
+        remedy = "calibrate with positions of both radios at 20 places or more"
+        checks.append(Check(MISSION, "place noise", "amber", spread.assumed, remedy))
     file = Path(mission.where).parent / mission.file.antenna.file
     if file.exists():
         age_s = now_ns * 1e-9 - file.stat().st_mtime

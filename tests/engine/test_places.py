@@ -50,13 +50,13 @@ def test_one_robot_and_nothing_earlier_is_the_reading_alone():
     assert places.log_likelihood(d, points, NONE) == pytest.approx(model.log_likelihood(d, points), abs=1e-9)
 
 
-def test_without_place_noise_it_equals_independent_readings():
-    """Two robots and a reading before: with nothing that belongs to places, all stand alone."""
-    still = ChannelSpread(ANTENNA.sigma_db, 0.0, 3.0)
+@pytest.mark.parametrize("still", [ChannelSpread(ANTENNA.sigma_db, 0.0, 3.0), ChannelSpread(2.0, 4.0, 0.0)])
+def test_without_place_noise_it_equals_independent_readings(still):
+    """Two robots and a reading before: with nothing that belongs to places, or no correlation, all stand alone."""
     model, places = noise(still)
     d = detection([-70.0, np.nan, -66.0], [(1.0, 2.0), (4.0, 4.0), (1.5, 2.0)])
     points = np.random.default_rng(1).uniform(0.0, 6.0, (50, 2))
-    earlier = Earlier(np.array([[1.1, 2.0]]), np.array([-60.0]))
+    earlier = Earlier(np.array([[1.1, 2.0], [1.0, 2.0]]), np.array([-60.0, -61.0]))
     assert places.log_likelihood(d, points, earlier) == pytest.approx(
         model.log_likelihood(d, points), abs=1e-9
     )
@@ -206,7 +206,16 @@ def test_the_same_calls_give_the_same_bits():
 
 def test_a_find_is_two_metres_or_a_tenth_of_the_range_where_places_make_noise():
     assert engine(spread=None, found_within_m=None).find_radius_m is None
-    assert engine(found_within_m=None).find_radius_m == pytest.approx(2.0)
+    far = replace(SHORT, threshold_dbm=-140.0)
+    assert engine(found_within_m=None, antenna=far).find_radius_m == pytest.approx(
+        0.1 * float(far.nominal_range_m(-2.0))
+    )
+    # Of a radio that hears 2.9 m, "within 2 m" would say nothing.
+    assert engine(found_within_m=None).find_radius_m == pytest.approx(
+        float(SHORT.nominal_range_m(-2.0)) / 3.0
+    )
+    middling = replace(SHORT, threshold_dbm=-115.0)
+    assert engine(found_within_m=None, antenna=middling).find_radius_m == pytest.approx(2.79, abs=0.02)
     assert engine(found_within_m=0.7).find_radius_m == 0.7
 
 

@@ -10,6 +10,7 @@ from fieldkit.errors import ConfigError
 from mission.core.mission_file import read_mission
 from mission.core.template import mission_text
 from mission.lab.synthetic import small_mission
+from mission.shell.preflight import judge_calibration
 
 
 @pytest.fixture
@@ -129,11 +130,28 @@ matrix = [[4.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
     assert widened == pytest.approx((3.3**2 + 4.0) ** 0.5)
 
 
-def test_place_noise_is_taken_from_an_antenna_file_that_has_measured_it(folder: Path) -> None:
+def test_place_noise_is_assumed_where_the_antenna_file_tells_none_and_preflight_says_so(folder: Path) -> None:
+    mission = read_mission(folder / "mission.toml")
+    spread = mission.kernel.engine.spread
+    assert spread is not None and spread.sigma_place_db > 1.0 and spread.transmitter_db < 1.0
+    (said,) = [check for check in judge_calibration(mission, 0) if check.name == "place noise"]
+    assert said.level == "amber" and "2.3 dB from place to place over 1 m are assumed" in said.found
+    change(folder, "power_levels_db = ", "# power_levels_db = ")
+    unknown = read_mission(folder / "mission.toml").kernel.engine.spread
+    assert (
+        unknown is not None
+        and unknown.transmitter_db == 10.0
+        and "power is taken for unknown" in unknown.assumed
+    )
+
+
+def test_place_noise_can_be_left_out(folder: Path) -> None:
+    change(folder, "[engine]", "[engine]\nplace_noise = false")
     assert read_mission(folder / "mission.toml").kernel.engine.spread is None
-    change(folder, "[engine]", "[engine]\nplace_noise = true\nfound_within_m = 1.5")
-    with pytest.raises(ConfigError, match="no measured place noise"):
-        read_mission(folder / "mission.toml")
+
+
+def test_place_noise_is_taken_from_an_antenna_file_that_has_measured_it(folder: Path) -> None:
+    change(folder, "[engine]", "[engine]\nfound_within_m = 1.5")
     antenna = folder / "antenna.toml"
     antenna.write_text(
         antenna.read_text() + "\n[channel]\nsigma_time_db = 2.0\nsigma_place_db = 3.0\ncorrelation_m = 4.0\n"

@@ -120,7 +120,8 @@ def test_the_same_inbox_gives_the_same_state_and_another_seed_another(settings: 
 def test_a_simulated_mission_finds_its_source(settings: KernelSettings) -> None:
     sources = (TransientSource(6.3, 5.1, -2.0, 0.2),)
     truth = Truth(ANTENNA, sources, ((2.0, 1.0), (2.6, 1.0), (7.0, 1.0), (7.6, 1.0)))
-    result = simulate(replace(settings, max_duration_s=1500.0, sources_expected=1), truth, 1)
+    near = replace(settings.engine, found_within_m=0.2)
+    result = simulate(replace(settings, engine=near, max_duration_s=1500.0, sources_expected=1), truth, 1)
     assert result.end_reason == "all 1 expected sources are found"
     assert result.false_finds == 0
     (found,) = [s for s in result.kernel.sources() if s.state == "found"]

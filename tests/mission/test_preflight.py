@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from fieldkit.channel.antenna_file import AntennaFile
+from fieldkit.channel.spread import ChannelSpread
 from fieldkit.checks import Check, worst
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError, VehicleRefused
@@ -15,7 +17,7 @@ from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
 from fieldkit.world.rover import Rover
 from fieldkit.world.sources import TransientSource
-from mission.lab.synthetic import small_mission
+from mission.lab.synthetic import ANTENNA, small_mission
 from mission.shell import setups
 from mission.shell.preflight import judge_calibration, judge_places, preflight
 from mission.shell.runner import Runner
@@ -96,7 +98,8 @@ def test_places_are_judged(tmp_path: Path) -> None:
 
 
 def test_an_old_or_doubtful_calibration_is_amber(tmp_path: Path) -> None:
-    mission = small_mission(tmp_path)
+    spread = ChannelSpread(2.0, 2.6, 1.0)  # place noise that is only assumed is amber too
+    mission = small_mission(tmp_path, antenna=AntennaFile(ANTENNA, spread=spread))
     now_ns = ScaledClock(1.0).now_ns()
     assert worst(judge_calibration(mission, now_ns)) == "green"
     assert worst(judge_calibration(mission, now_ns + 100 * 86_400 * 10**9)) == "amber"

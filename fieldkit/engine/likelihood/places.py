@@ -55,8 +55,10 @@ class PlaceNoise:
 
     def __init__(self, model: LevelsModel, spread: ChannelSpread, rate_hz: float) -> None:
         self.model = model
-        self.place_var = spread.sigma_place_db**2
-        self.time_var = spread.sigma_time_db**2
+        # Without a length of correlation every reading has a shadow of its own, as it has noise of its own.
+        own_var = spread.sigma_place_db**2 if spread.correlation_m <= 0.0 else 0.0
+        self.place_var = spread.sigma_place_db**2 - own_var
+        self.time_var = spread.sigma_time_db**2 + own_var
         self.length_m = max(spread.correlation_m, 1e-6)
         self._spent_s: dict[tuple[int, int], float] = {}
         steps = model.hear.shape[1]

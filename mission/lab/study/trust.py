@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from fieldkit.channel.model import Antenna
+from fieldkit.channel.spread import assumed, known_power
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
@@ -105,6 +106,10 @@ def settings(seed: int, *, exponent: float = EXPONENT) -> EngineSettings:
         LEVELS_DB,
         reference_rate_hz=RATE_HZ,
         seed=seed,
+        # What a mission is told of a radio whose place noise nobody measured; a find keeps to its cell, as the
+        # PRWA paper's does.
+        spread=known_power(assumed(antenna(exponent))),
+        found_within_m=CELL_M,
     )
 
 

@@ -7,7 +7,7 @@ become impossible are dropped, so a candidate that sharpens becomes cheap.
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -230,11 +230,15 @@ def summarise(
     )
 
 
-def merged_gain(first: Candidate, second: Candidate) -> float:
+def merged_gain(
+    first: Candidate, second: Candidate, settle: Callable[[Candidate], object] | None = None
+) -> float:
     """log evidence of `first` having sent all that both sent, over two sources having sent it.
 
     Where shares are divided, the two-source hypothesis is credited with their entropy (the variational bound).
 
+    `settle` tells the detections of one that claims them all given each other, as each of the two has told its own:
+    else what both heard at one place would count twice against there being one source.
     -inf where `first` has not got the other's detections at hand.
     """
     claimed = {number: share for number, share in second.share.items() if share > 0.02}
@@ -249,4 +253,6 @@ def merged_gain(first: Candidate, second: Candidate) -> float:
     both_sent.set_shares(
         list(claimed), [min(1.0, first.share[number] + share) for number, share in claimed.items()]
     )
+    if settle is not None:
+        settle(both_sent)
     return both_sent.log_evidence() - apart

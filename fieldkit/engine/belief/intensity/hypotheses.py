@@ -123,10 +123,15 @@ def _know_all(mixture: "Mixture", candidate: Candidate) -> None:
 def _fresh(
     mixture: "Mixture", candidate: Candidate, share: dict[int, float], *, spacing: float | None = None
 ) -> Candidate:
-    """An empty candidate whose cloud covers wherever the given detections may have come from."""
+    """An empty candidate whose cloud covers wherever the given detections may have come from.
+
+    All the ground that the candidate holds for possible, and some round it: a posterior that is cut off claims a
+    certainty that nobody has.
+    """
     centre = mixture.summary(candidate).mean_m
     half = min(0.75 * mixture.model.reach_m, mixture.tuning.re_estimated_cells * mixture.grid.cell_m)
-    row0, row1, column0, column1 = mixture.grid.box_around(centre[None, :], half)
+    whole = np.vstack([centre - half, centre + half, candidate.points_m])
+    row0, row1, column0, column1 = mixture.grid.box_around(whole, 0.0)
     fresh = mixture.new_candidate((column0, column1), (row0, row1), spacing=spacing)
     for number in share:
         fresh.know(number, mixture.model.log_likelihood(mixture.open[number].detection, fresh.points_m))

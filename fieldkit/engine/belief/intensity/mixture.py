@@ -6,6 +6,7 @@ detections better than those there are; two become one where one explains better
 supports any more is dropped. `hypotheses` re-tells the history of a candidate that may be stuck.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -76,6 +77,8 @@ class Mixture:
         """Detection to the log of the intensity with which clutter and the candidates explain it."""
         self.revise_at: dict[int, float] = {}
         """Candidate to the receptions at which its hypothesis is next told afresh."""
+        self._merge_at: dict[tuple[int, int], float] = {}
+        """Neighbours to the receptions of both at which it is next asked whether they are one."""
         self.arena = Arena()
         """What candidates know of detections."""
         self._open_arena = Arena()
@@ -172,20 +175,27 @@ class Mixture:
     def _condition(self) -> None:
         """Tell anew what rests on detections that a candidate no longer claims, or lacks one that it does now."""
         for candidate in self.candidates:
-            for number, share in candidate.share.items():
-                if share < 0.05 or number not in self.open:
-                    continue
-                claimed = [
-                    other
-                    for other, part in candidate.share.items()
-                    if part >= self.tuning.claimed and other < number and other in self.open
-                ]
-                if claimed == candidate.based_on.get(number):
-                    continue
-                old = candidate.logs[number].array
-                candidate.know(number, self.log_likelihood(candidate, number))
-                candidate.evidence += share * (candidate.logs[number].array - old)
+            if self._tell_given_each_other(candidate):
                 self._summaries.pop(candidate.ident, None)
+
+    def _tell_given_each_other(self, candidate: Candidate) -> bool:
+        """Each detection of a candidate given those it claims before it; whether any had to be told anew."""
+        told = False
+        for number, share in candidate.share.items():
+            if share < 0.05 or number not in self.open:
+                continue
+            claimed = [
+                other
+                for other, part in candidate.share.items()
+                if part >= self.tuning.claimed and other < number and other in self.open
+            ]
+            if claimed == candidate.based_on.get(number):
+                continue
+            old = candidate.logs[number].array
+            candidate.know(number, self.log_likelihood(candidate, number))
+            candidate.evidence += share * (candidate.logs[number].array - old)
+            told = True
+        return told
 
     def _settle(self) -> None:
         if self.places is not None:
@@ -351,6 +361,8 @@ class Mixture:
         for number, stored in self.open.items():
             if not self.in_reach(candidate, stored):
                 continue
+            # With place noise each is told given those claimed before it: as independent witnesses they would
+            # rule out ground that is not to be had back.
             candidate.know(number, self.log_likelihood(candidate, number))
             row0, row1, column0, column1 = stored.box
             if row0 <= row < row1 and column0 <= column < column1:
@@ -372,16 +384,21 @@ class Mixture:
     ) -> Candidate:
         """An empty candidate whose cloud covers these cells (half open) and one more all round.
 
-        `spacing` of its points, in cells; one over a whole number.
+        `spacing` of its points, in cells: whole, or one over a whole number. Where that makes more than `most_points`
+        of them they stand further apart, until the candidate is refined.
         """
-        fine = self.grid.cell_m * (spacing or self.tuning.fine_cells)
-        per_cell = round(1.0 / (spacing or self.tuning.fine_cells))
-        east = np.arange(max(0, columns[0] - 1) * per_cell, min(self.grid.n_east, columns[1] + 1) * per_cell)
-        north = np.arange(max(0, rows[0] - 1) * per_cell, min(self.grid.n_north, rows[1] + 1) * per_cell)
-        points = np.column_stack(
-            [np.tile((east + 0.5) * fine, north.size), np.repeat((north + 0.5) * fine, east.size)]
-        )
-        density = self.settings.expected_sources / self.grid.n_cells / per_cell**2
+        spacing = spacing or self.tuning.fine_cells
+        columns = (max(0, columns[0] - 1), min(self.grid.n_east, columns[1] + 1))
+        rows = (max(0, rows[0] - 1), min(self.grid.n_north, rows[1] + 1))
+        while (columns[1] - columns[0]) * (rows[1] - rows[0]) > self.tuning.most_points * spacing**2:
+            spacing *= 2.0
+        fine = self.grid.cell_m * spacing
+        east = (np.arange(math.floor(columns[0] / spacing), math.ceil(columns[1] / spacing)) + 0.5) * fine
+        north = (np.arange(math.floor(rows[0] / spacing), math.ceil(rows[1] / spacing)) + 0.5) * fine
+        east = east[east < self.grid.n_east * self.grid.cell_m]
+        north = north[north < self.grid.n_north * self.grid.cell_m]
+        points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
+        density = self.settings.expected_sources / self.grid.n_cells * spacing**2
         prior = np.repeat(self.model.log_prior[:, None] + np.log(density), points.shape[0], axis=1)
         return Candidate(
             self.next_ident(),
@@ -426,11 +443,14 @@ class Mixture:
                 for second in self.candidates:
                     if first.ident >= second.ident or not self._close(first, second):
                         continue
+                    if not self._worth_a_look(first, second):
+                        continue
                     keep, drop = (first, second) if first.receptions >= second.receptions else (second, first)
-                    gain = merged_gain(keep, drop)
+                    settle = self._tell_given_each_other if self.places is not None else None
+                    gain = merged_gain(keep, drop, settle)
                     if gain == -np.inf:
                         keep, drop = drop, keep
-                        gain = merged_gain(keep, drop)
+                        gain = merged_gain(keep, drop, settle)
                     if gain > 0.0:
                         for number, share in drop.share.items():
                             if number in keep.share and share > 0.0:
@@ -444,6 +464,19 @@ class Mixture:
                 if not done:
                     break
         return merged
+
+    def _worth_a_look(self, first: Candidate, second: Candidate) -> bool:
+        """Whether enough was heard of two neighbours since they were last found to be two; always without place noise.
+
+        To tell all they claim given each other takes time.
+        """
+        if self.places is None:
+            return True
+        pair, heard = (first.ident, second.ident), first.receptions + second.receptions
+        if heard < self._merge_at.get(pair, 0.0):
+            return False
+        self._merge_at[pair] = max(heard + 0.9, 1.1 * heard)
+        return True
 
     def _close(self, first: Candidate, second: Candidate) -> bool:
         a, b = self.summary(first), self.summary(second)
