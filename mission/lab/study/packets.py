@@ -15,7 +15,7 @@ import numpy as np
 from fieldkit import plugins
 from fieldkit.channel.model import Antenna
 from fieldkit.engine.belief.spog import SpogBelief
-from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.base import Planner, Situation
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Plan
 from fieldkit.world.sources import TransientSource
@@ -72,75 +72,115 @@ def search(
     on_detection: Callable[[float, Detection], None] | None = None,
 ) -> Outcome:
     """Run one search to its end or `cap_s`. `start_m` (robots, 2); `channel` is the true antenna if another."""
-    belief = belief or SpogBelief(engine)
     walk = plugins.load("fieldkit.planners", planner)(engine)
-    robots = engine.robots
-    groups: list[tuple[str, ...]] = (
-        [(r,) for r in robots] if getattr(walk, "alone", planner == "rwa") else list(engine.teams)
-    )
-    place = dict(zip(robots, np.asarray(start_m, dtype=float), strict=True))
+    alone = getattr(walk, "alone", planner == "rwa")
     sent = transmissions(hidden, seed, cap_s)
-    noise = np.random.default_rng([seed, 1]).normal(0.0, 1.0, (len(sent.t_s), len(robots)))
-    radio = channel or engine.antenna
-    ways: dict[tuple[str, ...], Way] = {}
-    column = {robot: index for index, robot in enumerate(robots)}
-    near = cells_near(engine, hidden)
-    log_found = float(np.log1p(-engine.found_probability))
-    outcome = Outcome(None, 0.0, 0, len(sent.t_s), 0, 0)
-    now_s, next_plan_s, packet = 0.0, 0.0, 0
-    while now_s < cap_s:
-        periodic = planner in PERIODIC and now_s >= next_plan_s - 1e-9
-        due = [g for g in groups if g not in ways or periodic or ways[g].t_s[-1] <= now_s + 1e-9]
+    run = _Search(
+        engine=engine,
+        walk=walk,
+        is_periodic=planner in PERIODIC,
+        groups=[(r,) for r in engine.robots] if alone else list(engine.teams),
+        hidden=hidden,
+        sent=sent,
+        noise=np.random.default_rng([seed, 1]).normal(0.0, 1.0, (len(sent.t_s), len(engine.robots))),
+        radio=channel or engine.antenna,
+        belief=belief or SpogBelief(engine),
+        place=dict(zip(engine.robots, np.asarray(start_m, dtype=float), strict=True)),
+        watch=watch,
+        on_detection=on_detection,
+    )
+    return run.to_the_end(cap_s)
+
+
+@dataclass
+class _Search:
+    """One search under way: what is true, what is believed, and where the robots are."""
+
+    engine: EngineSettings
+    walk: Planner
+    is_periodic: bool
+    """Whether the planner plans anew every period; else when a group has come to the end of its path."""
+    groups: list[tuple[str, ...]]
+    hidden: tuple[TransientSource, ...]
+    sent: "Sent"
+    noise: FloatArray
+    """(packets, robots) standard normal."""
+    radio: Antenna
+    belief: SpogBelief
+    place: dict[str, FloatArray]
+    watch: bool
+    on_detection: Callable[[float, Detection], None] | None
+    ways: dict[tuple[str, ...], Way] = field(default_factory=dict)
+    packet: int = 0
+    """How many packets have been sent."""
+    next_plan_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.column = {robot: index for index, robot in enumerate(self.engine.robots)}
+        self.near = cells_near(self.engine, self.hidden)
+        self.log_found = float(np.log1p(-self.engine.found_probability))
+        self.outcome = Outcome(None, 0.0, 0, len(self.sent.t_s), 0, 0)
+
+    def to_the_end(self, cap_s: float) -> Outcome:
+        """Plan, drive to the next decision, take in the packets sent meanwhile; until all is found or `cap_s`."""
+        now_s = 0.0
+        while now_s < cap_s and self.outcome.time_s is None:
+            self._plan(now_s)
+            until_s = min([cap_s, *(way.t_s[-1] for way in self.ways.values())])
+            if self.is_periodic:
+                until_s = min(until_s, self.next_plan_s)
+            until_s = max(until_s, now_s + 0.5)
+            self._drive(until_s)
+            now_s = until_s if self.outcome.time_s is None else self.outcome.time_s
+        self.outcome.elapsed_s = now_s
+        self.outcome.false_clusters = _false_clusters(self.belief, self.hidden, self.engine)
+        return self.outcome
+
+    def _plan(self, now_s: float) -> None:
+        """New paths for the groups that are due for one."""
+        periodic = self.is_periodic and now_s >= self.next_plan_s - 1e-9
+        due = [
+            g for g in self.groups if g not in self.ways or periodic or self.ways[g].t_s[-1] <= now_s + 1e-9
+        ]
         if due:
-            position = {r: (float(p[0]), float(p[1])) for r, p in place.items()}
-            plan = walk.plan(Situation(round(now_s * 1e9), position, tuple(due), {}), belief)
-            outcome.plans += 1
+            position = {r: (float(p[0]), float(p[1])) for r, p in self.place.items()}
+            plan = self.walk.plan(Situation(round(now_s * 1e9), position, tuple(due), {}), self.belief)
+            self.outcome.plans += 1
             for group in due:
-                ways[group] = way_of(plan, group, place, now_s, engine.max_speed_m_s)
+                self.ways[group] = way_of(plan, group, self.place, now_s, self.engine.max_speed_m_s)
         if periodic:
-            next_plan_s = now_s + engine.planning_period_s
-        until_s = min([cap_s, *(way.t_s[-1] for way in ways.values())])
-        if planner in PERIODIC:
-            until_s = min(until_s, next_plan_s)
-        until_s = max(until_s, now_s + 0.5)
-        last = int(np.searchsorted(sent.t_s, until_s, side="right"))
-        times = sent.t_s[packet:last]
-        at = np.empty((len(times) + 1, len(robots), 2))
+            self.next_plan_s = now_s + self.engine.planning_period_s
+
+    def _drive(self, until_s: float) -> None:
+        """Everything that is sent and heard until then; it ends with the packet that finds the last source."""
+        last = int(np.searchsorted(self.sent.t_s, until_s, side="right"))
+        times = self.sent.t_s[self.packet : last]
+        at = np.empty((len(times) + 1, len(self.column), 2))
         when = np.append(times, until_s)
-        for group, way in ways.items():
-            at[:, [column[r] for r in group]] = way.at(when)
-        rss = _heard(
-            radio, hidden, sent.source[packet:last], at[:-1], noise[packet:last], ways, groups, column, times
-        )
+        for group, way in self.ways.items():
+            at[:, [self.column[r] for r in group]] = way.at(when)
+        sources, noise = self.sent.source[self.packet : last], self.noise[self.packet : last]
+        rss = _heard(self.radio, self.hidden, sources, at[:-1], noise, self.ways, self.column, times)
         for k in np.flatnonzero(~np.isnan(rss).all(axis=1)):
-            heading = (
-                _headings(at[k], ways, column, float(times[k])) if radio.pattern_db else np.zeros(len(robots))
-            )
-            detection = Detection(
-                round(float(times[k]) * 1e9),
-                robots,
-                at[k],
-                heading,
-                rss[k],
-                np.zeros(len(robots), dtype=bool),
-            )
-            belief.detect(detection)
-            outcome.detections += 1
-            if on_detection is not None:
-                on_detection(float(times[k]), detection)
-            if watch:
-                outcome.trace.append((float(times[k]), _presence_at(belief, near)))
-            if all(float(belief.log_absent[cells].min()) < log_found for cells in near):
-                outcome.time_s = float(times[k])
+            self._take_in(float(times[k]), at[k], rss[k])
+            if all(float(self.belief.log_absent[cells].min()) < self.log_found for cells in self.near):
+                self.outcome.time_s = float(times[k])
                 break
-        now_s = until_s if outcome.time_s is None else outcome.time_s
-        packet = last
-        place = {robot: at[-1, column[robot]] for robot in robots}
-        if outcome.time_s is not None:
-            break
-    outcome.elapsed_s = now_s
-    outcome.false_clusters = _false_clusters(belief, hidden, engine)
-    return outcome
+        self.packet = last
+        self.place = {robot: at[-1, self.column[robot]] for robot in self.engine.robots}
+
+    def _take_in(self, t_s: float, at_m: FloatArray, rss_dbm: FloatArray) -> None:
+        robots = self.engine.robots
+        directed = bool(self.radio.pattern_db)
+        heading = _headings(at_m, self.ways, self.column, t_s) if directed else np.zeros(len(robots))
+        saturated = np.zeros(len(robots), dtype=bool)
+        detection = Detection(round(t_s * 1e9), robots, at_m, heading, rss_dbm, saturated)
+        self.belief.detect(detection)
+        self.outcome.detections += 1
+        if self.on_detection is not None:
+            self.on_detection(t_s, detection)
+        if self.watch:
+            self.outcome.trace.append((t_s, _presence_at(self.belief, self.near)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +237,6 @@ def _heard(
     at_m: FloatArray,
     noise: FloatArray,
     ways: dict[tuple[str, ...], Way],
-    groups: list[tuple[str, ...]],
     column: dict[str, int],
     times: FloatArray,
 ) -> FloatArray:
