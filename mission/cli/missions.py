@@ -194,7 +194,8 @@ def replay(
     from mission.replay.pace import Pace, line
 
     changed = Changes(antenna, belief, planner, tuple(changes or ()), whatif)
-    if page and (speed is None or len(logs) != 1):
+    single = len(logs) == 1
+    if page and (speed is None or not single):
         raise ConfigError("--page: shows one recording at a --speed; give both")
     results: list[dict[str, Any]] = []
     worst = 0
@@ -204,22 +205,22 @@ def replay(
             with _replay_page(log, changed, page) as followers:
                 plain = replay_one(log, changed, until_s=until, on_step=pace, followers=followers)
         except FieldkitError as error:
-            if len(logs) == 1:
+            if single:
                 raise
             # Exit code 1, "it differs", says more than 2, "it could not be read".
             worst = error.exit_code if worst != 1 else 1
             plain = {"recording": str(log), "identical": False, "error": str(error)}
         results.append(plain)
         if not as_json:
-            _print_replayed(log, plain, whole=len(logs) == 1)
+            _print_replayed(log, plain, single=single)
     if as_json:
-        print_json(results[0] if len(logs) == 1 else results)
+        print_json(results[0] if single else results)
     if worst:
         raise typer.Exit(worst)
 
 
-def _print_replayed(log: Path, plain: dict[str, Any], *, whole: bool) -> None:
-    """What came of replaying one recording; `whole`: with its sources."""
+def _print_replayed(log: Path, plain: dict[str, Any], *, single: bool) -> None:
+    """What came of replaying one recording; `single`: with its sources."""
     from mission.shell.terminal import sources_table
 
     if "error" in plain:
@@ -232,7 +233,7 @@ def _print_replayed(log: Path, plain: dict[str, Any], *, whole: bool) -> None:
         f"times real time: {plain['verdict']}\n"
         f"belief {plain['belief_hash'][:16]}  commands {plain['commands_hash'][:16]}"
     )
-    if whole:
+    if single:
         sources_table(plain["sources"])
 
 

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from fieldkit import settings as given
+
 
 @dataclass(frozen=True, slots=True)
 class TemplateRobot:
@@ -22,45 +24,7 @@ EXAMPLE_ROBOTS = tuple(
 )
 
 
-def mission_text(
-    *,
-    name: str = "my-field",
-    seed: int = 0,
-    origin_deg: tuple[float, float] = (47.397700, 8.545600),
-    size_m: float = 25.0,
-    cell_m: float = 0.5,
-    antenna: str = "antenna.toml",
-    power_levels_db: Sequence[float] = (-8.0, -6.0, -4.0, -2.0, 0.0),
-    rate_hz: float = 0.05,
-    expected: float = 4.0,
-    planning_period_s: float = 20.0,
-    window_s: float = 0.1,
-    found_probability: float = 0.9,
-    max_duration_s: float = 3600.0,
-    sources_found: int | None = None,
-    fence_margin_m: float = 0.5,
-    min_separation_m: float = 1.0,
-    overrun_s: float = 3.0,
-    engine: Mapping[str, str | float | bool] = MappingProxyType({}),
-    robots: Sequence[TemplateRobot] = EXAMPLE_ROBOTS,
-) -> str:
-    """The text of a mission file. Robots are teamed two by two. `engine`: belief, planner, what these want besides."""
-    teams = "\n".join(
-        f"[[team]]\nrobots = [{', '.join(repr(robot.name).replace(chr(39), chr(34)) for robot in robots[i : i + 2])}]\n"
-        for i in range(0, len(robots), 2)
-    )
-    each = "\n".join(
-        f'[[robot]]\nname = "{robot.name}"\n'
-        f'receiver = {{ driver = "xbee", port = "{robot.port}" }}\n'
-        f'vehicle = {{ driver = "mavlink", address = "{robot.address}", system_id = {robot.system_id} }}\n'
-        for robot in robots
-    )
-    found = f"sources_found = {sources_found}" if sources_found else "# sources_found = 3"
-    left = "# probability_left = 0.05" if sources_found else "probability_left = 0.05"
-    chosen: dict[str, str | float | bool] = {"belief": "intensity", "planner": "infogain", **engine}
-    engine_lines = "\n".join(f"{key} = {json.dumps(value)}" for key, value in chosen.items())
-    levels = ", ".join(f"{level:.1f}" for level in power_levels_db)
-    return f"""\
+_TEXT = """\
 # A fieldkit mission. Check it with 'fieldkit check', run it with 'fieldkit run'.
 schema = 1
 name = "{name}"
@@ -88,7 +52,7 @@ expected = {expected:.1f}               # roughly how many there may be; not a l
 found_probability = {found_probability}      # of being within one cell of the estimate
 min_receptions = 4
 planning_period_s = {planning_period_s:.1f}
-pose_sigma_m = 0.05          # of each coordinate of the robots' positions
+pose_sigma_m = {given.POSE_SIGMA_M.default}          # of each coordinate of the robots' positions
 # arrive_m = 0.5             # so near to its way-point a robot has arrived; else from its speed and its positions
 # prior_rule, sensing and more, for the papers' beliefs and planners: see docs/engine.md
 
@@ -107,11 +71,11 @@ max_duration_s = {max_duration_s:.1f}
 
 [safety]                     # no command passes these
 fence_margin_m = {fence_margin_m}         # way-points stay this far inside the field
-max_speed_m_s = 0.4
-pose_timeout_s = 2.0
+max_speed_m_s = {given.MAX_SPEED_M_S.default}
+pose_timeout_s = {given.POSE_TIMEOUT_S.default}
 min_separation_m = {min_separation_m}       # between way-points of different robots; nearer than half of it, one holds
 overrun_s = {overrun_s}              # robots hold when the steering loop was silent for longer
-battery_reserve_pct = 25.0   # a robot goes home with this much left, or earlier where the way home is long:
+battery_reserve_pct = {reserve_pct}   # a robot goes home with this much left, or earlier where the way home is long:
 # battery_pct_per_m = 0.02   # what a metre costs; half as much again is kept for the way home
 # battery_low_v = 10.5       # or: home at this voltage, where the vehicle's per cent say little
 # braking_m = 1.0            # how far a robot rolls on after a hold, at the limit of speed; else estimated
@@ -122,3 +86,66 @@ battery_reserve_pct = 25.0   # a robot goes home with this much left, or earlier
 
 {teams}
 {each}"""
+
+
+def mission_text(
+    *,
+    name: str = "my-field",
+    seed: int = 0,
+    origin_deg: tuple[float, float] = (47.397700, 8.545600),
+    size_m: float = given.FIELD_SIDE_M.default,
+    cell_m: float = given.CELL_M.default,
+    antenna: str = "antenna.toml",
+    power_levels_db: Sequence[float] = (-8.0, -6.0, -4.0, -2.0, 0.0),
+    rate_hz: float = given.RATE_HZ.default,
+    expected: float = given.EXPECTED_SOURCES.default,
+    planning_period_s: float = given.PLANNING_PERIOD_S.default,
+    window_s: float = given.WINDOW_S.default,
+    found_probability: float = given.FOUND_PROBABILITY.default,
+    max_duration_s: float = given.MAX_DURATION_S.default,
+    sources_found: int | None = None,
+    fence_margin_m: float = 0.5,
+    min_separation_m: float = 1.0,
+    overrun_s: float = given.OVERRUN_S.default,
+    engine: Mapping[str, str | float | bool] = MappingProxyType({}),
+    robots: Sequence[TemplateRobot] = EXAMPLE_ROBOTS,
+) -> str:
+    """The text of a mission file. Robots are teamed two by two. `engine`: belief, planner, what these want besides."""
+    teams = "\n".join(
+        f"[[team]]\nrobots = [{', '.join(repr(robot.name).replace(chr(39), chr(34)) for robot in robots[i : i + 2])}]\n"
+        for i in range(0, len(robots), 2)
+    )
+    each = "\n".join(
+        f'[[robot]]\nname = "{robot.name}"\n'
+        f'receiver = {{ driver = "xbee", port = "{robot.port}" }}\n'
+        f'vehicle = {{ driver = "mavlink", address = "{robot.address}", system_id = {robot.system_id} }}\n'
+        for robot in robots
+    )
+    found = f"sources_found = {sources_found}" if sources_found else "# sources_found = 3"
+    left = "# probability_left = 0.05" if sources_found else "probability_left = 0.05"
+    chosen: dict[str, str | float | bool] = {"belief": "intensity", "planner": "infogain", **engine}
+    return _TEXT.format(
+        given=given,
+        reserve_pct=given.BATTERY_RESERVE_PCT.default,
+        name=name,
+        seed=seed,
+        origin_deg=origin_deg,
+        size_m=size_m,
+        cell_m=cell_m,
+        antenna=antenna,
+        levels=", ".join(f"{level:.1f}" for level in power_levels_db),
+        rate_hz=rate_hz,
+        expected=expected,
+        engine_lines="\n".join(f"{key} = {json.dumps(value)}" for key, value in chosen.items()),
+        found_probability=found_probability,
+        planning_period_s=planning_period_s,
+        window_s=window_s,
+        max_duration_s=max_duration_s,
+        found=found,
+        left=left,
+        fence_margin_m=fence_margin_m,
+        min_separation_m=min_separation_m,
+        overrun_s=overrun_s,
+        teams=teams,
+        each=each,
+    )

@@ -8,7 +8,6 @@ states, the others where nine tenths of their particles, or of their Gaussian, l
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
 from typing import Any, Protocol
 
 import numpy as np
@@ -148,92 +147,43 @@ class LeastSquares:
         return np.empty((0, 2)) if self.place is None else self.place.reshape(1, 2)
 
 
-def stone_soup(engine: EngineSettings) -> Method:
-    """One source at an unknown power, by Stone Soup's bootstrap particle filter (state: east, north, power)."""
-    from stonesoup.models.measurement.base import MeasurementModel
-    from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, RandomWalk
-    from stonesoup.predictor.particle import ParticlePredictor
-    from stonesoup.resampler.particle import SystematicResampler
-    from stonesoup.types.detection import Detection as Heard
-    from stonesoup.types.hypothesis import SingleHypothesis
-    from stonesoup.types.state import ParticleState, StateVector, StateVectors
-    from stonesoup.updater.particle import ParticleUpdater
+class StoneSoup:
+    """One source at an unknown power, by Stone Soup's bootstrap particle filter; it knows detections only."""
 
-    radio = engine.antenna
+    def __init__(self, engine: EngineSettings) -> None:
+        from mission.lab.stone_soup import BootstrapFilter
 
-    class Rss(MeasurementModel):  # type: ignore[misc]  # the library is not typed
+        self.engine, self.radio = engine, engine.antenna
+        rng = np.random.default_rng(engine.seed)
+        low = (0.0, 0.0, min(engine.power_levels_db))
+        high = (engine.grid.size_east_m, engine.grid.size_north_m, max(engine.power_levels_db))
+        self.filter = BootstrapFilter(rng.uniform(low, high, (PARTICLES, 3)).T, 0.01, 0.02, engine.seed)
+
+    def listen(self, listening: Listening) -> None:
+        """Stretches of listening mean nothing to it."""
+
+    def detect(self, detection: Detection) -> None:
         """Readings of the robots that heard, silence of those that did not."""
 
-        ndim_state, ndim_meas, mapping = 3, 1, (0, 1, 2)
-        detection: Detection
-
-        def function(self, state: Any, noise: bool = False, **_: Any) -> Any:
-            """(robots, states) mean readings in dBm, with noise if asked; a silent robot would read under threshold."""
-            x = np.asarray(state.state_vector, dtype=float)
-            mean = np.array([self.mean_dbm(x, place) for place in self.detection.position_m])
-            return StateVectors(mean + self.rvs(mean.size).reshape(mean.shape) if noise else mean)
-
-        def rvs(self, num_samples: int = 1, **_: Any) -> Any:
-            """(1, samples) of a reading's noise, in dB."""
-            return np.random.normal(0.0, radio.sigma_db, (1, num_samples))  # noqa: NPY002  as Stone Soup draws
-
-        @staticmethod
-        def mean_dbm(x: FloatArray, place: FloatArray) -> FloatArray:
-            """Mean reading at `place` of sources x (3, n): east, north, power."""
-            distance = np.maximum(np.hypot(x[0] - place[0], x[1] - place[1]), MIN_RANGE_M)
-            return np.asarray(radio.mean_rss_dbm(distance, x[2]))
-
-        def pdf(self, state1: Any, state2: Any, **_: Any) -> Any:
-            return np.exp(self.logpdf(state1, state2))
-
-        def logpdf(self, state1: Any, state2: Any, **_: Any) -> Any:
-            x = np.asarray(state2.state_vector, dtype=float)
-            log = np.zeros(x.shape[1])
-            for place, rss in zip(self.detection.position_m, self.detection.rss_dbm, strict=True):
-                mean = self.mean_dbm(x, place)
+        def log_likelihood(x: FloatArray) -> FloatArray:
+            radio, log = self.radio, np.zeros(x.shape[1])
+            for place, rss in zip(detection.position_m, detection.rss_dbm, strict=True):
+                distance = np.maximum(np.hypot(x[0] - place[0], x[1] - place[1]), MIN_RANGE_M)
+                mean = np.asarray(radio.mean_rss_dbm(distance, x[2]))
                 if np.isnan(rss):
                     log += log_ndtr((radio.threshold_dbm + 0.5 - mean) / radio.sigma_db)
                 else:
                     log += norm.logpdf(rss, mean, np.hypot(radio.sigma_db, np.sqrt(1 / 12)))
             return log
 
-    class Filter:
-        def __init__(self) -> None:
-            rng = np.random.default_rng(engine.seed)
-            low = (0.0, 0.0, min(engine.power_levels_db))
-            high = (engine.grid.size_east_m, engine.grid.size_north_m, max(engine.power_levels_db))
-            cloud = rng.uniform(low, high, (PARTICLES, 3)).T
-            self.at = datetime(2000, 1, 1)
-            weights = np.full(PARTICLES, 1.0 / PARTICLES)
-            self.state = ParticleState(StateVectors(cloud), weight=weights, timestamp=self.at)
-            walk = CombinedLinearGaussianTransitionModel(
-                [RandomWalk(0.01), RandomWalk(0.01), RandomWalk(0.02)]
-            )
-            self.predictor = ParticlePredictor(walk)
-            self.updater = ParticleUpdater(None, SystematicResampler())
-            np.random.seed(engine.seed)  # noqa: NPY002  Stone Soup draws from numpy's global generator
+        self.filter.update(log_likelihood)
 
-        def listen(self, listening: Listening) -> None:
-            """Stone Soup's filter knows detections only."""
+    def best(self) -> FloatArray:
+        return self.filter.mean[:2].reshape(1, 2)
 
-        def detect(self, detection: Detection) -> None:
-            self.at += timedelta(seconds=1)
-            model = Rss()
-            model.detection = detection
-            heard = Heard(StateVector([0.0]), timestamp=self.at, measurement_model=model)
-            prediction = self.predictor.predict(self.state, timestamp=self.at)
-            self.state = self.updater.update(SingleHypothesis(prediction, heard))
-
-        def best(self) -> FloatArray:
-            return np.asarray(self.state.mean, dtype=float).ravel()[:2].reshape(1, 2)
-
-        def found(self) -> FloatArray:
-            cloud = np.asarray(self.state.state_vector, dtype=float)[:2].T
-            near = (np.abs(cloud - self.best()) <= engine.grid.cell_m).all(axis=1)
-            weight = np.asarray(self.state.weight, dtype=float)
-            return self.best() if float(weight[near].sum()) >= 0.9 else np.empty((0, 2))
-
-    return Filter()
+    def found(self) -> FloatArray:
+        near = (np.abs(self.filter.cloud[:2].T - self.best()) <= self.engine.grid.cell_m).all(axis=1)
+        return self.best() if float(self.filter.weight[near].sum()) >= 0.9 else np.empty((0, 2))
 
 
 METHODS: dict[str, Callable[[EngineSettings], Method]] = {
@@ -242,7 +192,7 @@ METHODS: dict[str, Callable[[EngineSettings], Method]] = {
     "spog (pairwise, dirichlet)": lambda engine: Ours(
         SpogBelief(replace(engine, prior_rule="dirichlet", sensing="pairwise"))
     ),
-    "Stone Soup particle filter": stone_soup,
+    "Stone Soup particle filter": StoneSoup,
     "scipy least squares": LeastSquares,
 }
 

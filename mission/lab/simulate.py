@@ -83,82 +83,103 @@ def simulate(
     recorder is put in.
     """
     kernel = Kernel(settings)
-    rng_traffic, rng_channel, rng_pose, rng_wander = (np.random.default_rng([seed, k]) for k in range(4))
-    robots = settings.engine.robots
-    rovers = {
-        r: Rover(e, n, max_speed_m_s=truth.max_speed_m_s)
-        for r, (e, n) in zip(robots, truth.start_m, strict=True)
-    }
-    clock_s = dict(zip(robots, rng_pose.normal(0.0, 1.0, len(robots)) * truth.clock_sigma_s, strict=True))
-    turn = rng_pose.uniform(0.0, 2 * np.pi, len(robots))
-    bias = {
-        r: truth.pose_bias_m * np.array([np.sin(a), np.cos(a)]) for r, a in zip(robots, turn, strict=True)
-    }
-    traffic = Transmissions(list(truth.sources), rng_traffic)
+    world = _World(settings.engine.robots, truth, seed, step_s)
     covered_at: dict[int, float] = {}
-    inbox: list[Event] = [VehicleState(0, robot, "guided", True) for robot in robots]
+    inbox: list[Event] = [VehicleState(0, robot, "guided", True) for robot in settings.engine.robots]
     end_reason = ""
-    t_s = 0.0
-    before = {robot: (rover.east_m, rover.north_m) for robot, rover in rovers.items()}
-    wander = rng_wander.normal(0.0, truth.pose_wander_m, 2) if truth.pose_wander_m > 0.0 else np.zeros(2)
     while not end_reason:
-        if truth.pose_wander_m > 0.0:
-            kept = np.exp(-step_s / truth.pose_wander_s)
-            wander = kept * wander + rng_wander.normal(0.0, truth.pose_wander_m, 2) * np.sqrt(1.0 - kept**2)
-        for robot, rover in rovers.items():
-            noise = rng_pose.normal(0.0, truth.pose_sigma_m, 2) if truth.pose_sigma_m > 0 else np.zeros(2)
-            east, north = np.array([rover.east_m, rover.north_m]) + bias[robot] + noise + wander
-            inbox.append(
-                Pose(
-                    round(t_s * 1e9),
-                    robot,
-                    float(east),
-                    float(north),
-                    0.0,
-                    rover.heading_deg,
-                    float(np.hypot(truth.pose_sigma_m, truth.pose_wander_m)),
-                )
-            )
-        for at_s, source in traffic.until(t_s):
-            share = 1.0 - (t_s - at_s) / step_s
-            place = np.array(
-                [
-                    (e + share * (rovers[r].east_m - e), n + share * (rovers[r].north_m - n))
-                    for r, (e, n) in before.items()
-                ]
-            )
-            heading = np.array([rover.heading_deg for rover in rovers.values()])
-            inbox += _heard(at_s, source, place, clock_s, truth, rng_channel, heading)
-        inbox.append(Tick(round(t_s * 1e9)))
+        inbox += world.events()
         for event in inbox:
             outcome = kernel.step(event)
             commands = outcome.commands if on_step is None else on_step(kernel, event, outcome)
             for command in commands:
-                match command:
-                    case GoTo(_, robot, waypoint):
-                        rovers[robot].go_to(waypoint.east_m, waypoint.north_m, waypoint.speed_m_s)
-                    case Hold(_, robot, _) | Return(_, robot, _):
-                        rovers[robot].stop()
-                    case EndMission(_, reason):
-                        end_reason = reason
+                end_reason = world.obey(command) or end_reason
             if outcome.detections:
-                _cover(kernel, truth, t_s, covered_at)
+                _cover(kernel, truth, world.t_s, covered_at)
         inbox = []
-        before = {robot: (rover.east_m, rover.north_m) for robot, rover in rovers.items()}
-        for rover in rovers.values():
-            rover.step(step_s)
-        t_s += step_s
+        world.drive()
         open_ended = settings.sources_expected is None and settings.stop_probability_left is None
         if open_ended and truth.sources and len(covered_at) == len(truth.sources):
             end_reason = "every source is found"
     done = len(covered_at) == len(truth.sources)
-    return Result(
-        kernel,
-        t_s,
-        end_reason,
-        max(covered_at.values(), default=0.0) if done else None,
-        count_false(kernel, truth),
-    )
+    time_to_all_s = max(covered_at.values(), default=0.0) if done else None
+    return Result(kernel, world.t_s, end_reason, time_to_all_s, count_false(kernel, truth))
+
+
+class _World:
+    """What is true: rovers, transmissions, and the errors of clocks and positions."""
+
+    def __init__(self, robots: tuple[str, ...], truth: Truth, seed: int, step_s: float) -> None:
+        generators = (np.random.default_rng([seed, k]) for k in range(4))
+        rng_traffic, self.rng_channel, self.rng_pose, self.rng_wander = generators
+        self.truth, self.step_s, self.t_s = truth, step_s, 0.0
+        self.rovers = {
+            r: Rover(e, n, max_speed_m_s=truth.max_speed_m_s)
+            for r, (e, n) in zip(robots, truth.start_m, strict=True)
+        }
+        offsets_s = self.rng_pose.normal(0.0, 1.0, len(robots)) * truth.clock_sigma_s
+        self.clock_s = dict(zip(robots, offsets_s, strict=True))
+        turn = self.rng_pose.uniform(0.0, 2 * np.pi, len(robots))
+        self.bias = {
+            r: truth.pose_bias_m * np.array([np.sin(a), np.cos(a)]) for r, a in zip(robots, turn, strict=True)
+        }
+        self.traffic = Transmissions(list(truth.sources), rng_traffic)
+        self.before = self._places_m()
+        wanders = truth.pose_wander_m > 0.0
+        self.wander = self.rng_wander.normal(0.0, truth.pose_wander_m, 2) if wanders else np.zeros(2)
+
+    def events(self) -> list[Event]:
+        """Where the robots say they are, what they have heard since the last step, and a tick."""
+        events: list[Event] = [*self._poses()]
+        for at_s, source in self.traffic.until(self.t_s):
+            share = 1.0 - (self.t_s - at_s) / self.step_s
+            now = self._places_m()
+            place = np.array(
+                [
+                    (e + share * (now[r][0] - e), n + share * (now[r][1] - n))
+                    for r, (e, n) in self.before.items()
+                ]
+            )
+            heading = np.array([rover.heading_deg for rover in self.rovers.values()])
+            events += _heard(at_s, source, place, self.clock_s, self.truth, self.rng_channel, heading)
+        return [*events, Tick(round(self.t_s * 1e9))]
+
+    def _poses(self) -> list[Pose]:
+        truth = self.truth
+        if truth.pose_wander_m > 0.0:
+            kept = np.exp(-self.step_s / truth.pose_wander_s)
+            fresh = self.rng_wander.normal(0.0, truth.pose_wander_m, 2)
+            self.wander = kept * self.wander + fresh * np.sqrt(1.0 - kept**2)
+        sigma_m = float(np.hypot(truth.pose_sigma_m, truth.pose_wander_m))
+        poses = []
+        for robot, rover in self.rovers.items():
+            noisy = truth.pose_sigma_m > 0
+            noise = self.rng_pose.normal(0.0, truth.pose_sigma_m, 2) if noisy else np.zeros(2)
+            east, north = np.array([rover.east_m, rover.north_m]) + self.bias[robot] + noise + self.wander
+            at = float(east), float(north)
+            poses.append(Pose(round(self.t_s * 1e9), robot, *at, 0.0, rover.heading_deg, sigma_m))
+        return poses
+
+    def obey(self, command: Command) -> str:
+        """Drive, stop, or end: why, where the mission is over."""
+        match command:
+            case GoTo(_, robot, waypoint):
+                self.rovers[robot].go_to(waypoint.east_m, waypoint.north_m, waypoint.speed_m_s)
+            case Hold(_, robot, _) | Return(_, robot, _):
+                self.rovers[robot].stop()
+            case EndMission(_, reason):
+                return reason
+        return ""
+
+    def drive(self) -> None:
+        """One step on."""
+        self.before = self._places_m()
+        for rover in self.rovers.values():
+            rover.step(self.step_s)
+        self.t_s += self.step_s
+
+    def _places_m(self) -> dict[str, tuple[float, float]]:
+        return {robot: (rover.east_m, rover.north_m) for robot, rover in self.rovers.items()}
 
 
 def _heard(

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,10 +47,32 @@ def test_the_field_is_found_by_name():
     assert plugins.load("fieldkit.emulators", "field") is emulate
 
 
-async def test_four_robots_hear_drive_and_are_heard():
+class Joined:
+    """A field's radios and vehicles behind their real drivers, and everything they have given."""
+
+    def __init__(self, made, field, link):
+        self.made, self.field, self.link = made, field, link
+        self.readings, self.states, self.poses = [], [], {}
+
+    async def listen(self, receiver):
+        async for item in receiver.readings():
+            (self.readings if isinstance(item, RssReading) else self.states).append(item)
+
+    async def follow(self):
+        async for item in self.link.events():
+            if isinstance(item, Pose):
+                self.poses[item.robot] = item
+
+    async def beat(self):
+        while True:
+            self.link.beat()
+            await self.made.clock.sleep(1.0)
+
+
+@asynccontextmanager
+async def joined():
     made = spec()
     field = await asyncio.to_thread(start, made)
-    readings, states, poses = [], [], {}
     async with AsyncExitStack() as stack:
         stack.callback(field.close)
         receivers = [
@@ -60,27 +82,27 @@ async def test_four_robots_hear_drive_and_are_heard():
         ids = {robot.name: {"system_id": robot.system_id} for robot in ROBOTS}
         address = f"udpin:{made.vehicle_address}"
         link = await stack.enter_async_context(open_link(address, ids, around(made.clock)))
+        team = Joined(made, field, link)
+        jobs = (*map(team.listen, receivers), team.follow(), team.beat())
+        tasks = [asyncio.create_task(job) for job in jobs]
+        try:
+            yield team
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.wait(tasks)
+    field.close()
+    assert not multiprocessing.active_children()
 
-        async def listen(receiver):
-            async for item in receiver.readings():
-                (readings if isinstance(item, RssReading) else states).append(item)
 
-        async def follow():
-            async for item in link.events():
-                if isinstance(item, Pose):
-                    poses[item.robot] = item
-
-        async def beat():
-            while True:
-                link.beat()
-                await made.clock.sleep(1.0)
-
-        tasks = [asyncio.create_task(job) for job in (*map(listen, receivers), follow(), beat())]
+async def test_four_robots_hear_drive_and_are_heard():
+    async with joined() as team:
+        field = team.field
         opening = {name: each["bytes_from_host"] for name, each in field.counts()["robots"].items()}
-        await asyncio.gather(*(link.acquire_control(robot.name) for robot in ROBOTS))
+        await asyncio.gather(*(team.link.acquire_control(robot.name) for robot in ROBOTS))
         goals = {robot.name: (robot.east_m, 3.0) for robot in ROBOTS}
         await asyncio.gather(
-            *(link.goto(name, Waypoint(*goal, speed_m_s=0.4)) for name, goal in goals.items())
+            *(team.link.goto(name, Waypoint(*goal, speed_m_s=0.4)) for name, goal in goals.items())
         )
 
         def arrived():
@@ -90,29 +112,29 @@ async def test_four_robots_hear_drive_and_are_heard():
             )
 
         await until(arrived)
-        await made.clock.sleep(1.0)
+        await team.made.clock.sleep(1.0)
         truth = field.truth()
-        for name, pose in poses.items():
+        for name, pose in team.poses.items():
             assert np.hypot(pose.east_m - truth[name][0], pose.north_m - truth[name][1]) < 0.25
         counts = field.counts()
-        await until(lambda: len(readings) >= sum(each["frames"] for each in counts["robots"].values()))
-        assert {reading.robot for reading in readings} == set(goals)
+        await until(lambda: len(team.readings) >= sum(each["frames"] for each in counts["robots"].values()))
+        assert {reading.robot for reading in team.readings} == set(goals)
         assert all(each["frames_lost"] == each["transmitted"] == 0 for each in counts["robots"].values())
         assert {name: each["bytes_from_host"] for name, each in counts["robots"].items()} == opening
 
-        field.unplug("r1")
+
+async def test_an_unplugged_radio_and_a_silent_vehicle_are_told_from_the_others():
+    async with joined() as team:
+        await asyncio.gather(*(team.link.acquire_control(robot.name) for robot in ROBOTS))
+        states = team.states
+        team.field.unplug("r1")
         await until(lambda: states[-1].robot == "r1" and not states[-1].up)
-        field.replug("r1")
+        team.field.replug("r1")
         await until(lambda: states[-1] == ReceiverState(states[-1].t_ns, "r1", True, states[-1].reason))
-        field.silence_vehicle("r2")
-        await asyncio.gather(*(link.hold(robot.name) for robot in ROBOTS if robot.name != "r2"))
+        team.field.silence_vehicle("r2")
+        await asyncio.gather(*(team.link.hold(robot.name) for robot in ROBOTS if robot.name != "r2"))
         with pytest.raises(DeviceError):
-            await link.hold("r2")
-        for task in tasks:
-            task.cancel()
-        await asyncio.wait(tasks)
-    field.close()
-    assert not multiprocessing.active_children()
+            await team.link.hold("r2")
 
 
 async def test_levels_fall_off_with_distance_as_the_antenna_says(listening):

@@ -1,7 +1,6 @@
 """What a survey's own estimate is compared with: the same readings, the same calibration, simpler thinking."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -76,41 +75,15 @@ def _grid(
 
 def particle_filter(survey: Survey, antenna: Antenna, ground: Ground, up_m: float) -> FloatArray:
     """Stone Soup's bootstrap particle filter over place and power. Raises `ImportError` without Stone Soup."""
-    from datetime import datetime, timedelta
+    from mission.lab.stone_soup import BootstrapFilter
 
-    from stonesoup.models.measurement.base import MeasurementModel
-    from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, RandomWalk
-    from stonesoup.predictor.particle import ParticlePredictor
-    from stonesoup.resampler.particle import SystematicResampler
-    from stonesoup.types.detection import Detection
-    from stonesoup.types.hypothesis import SingleHypothesis
-    from stonesoup.types.state import ParticleState, StateVector, StateVectors
-    from stonesoup.updater.particle import ParticleUpdater
+    def log_likelihood_of(place_m: FloatArray, level_db: float) -> Callable[[FloatArray], FloatArray]:
+        def log_likelihood(x: FloatArray) -> FloatArray:
+            away = np.sqrt((x[0] - place_m[0]) ** 2 + (x[1] - place_m[1]) ** 2 + (up_m - place_m[2]) ** 2)
+            off = level_db - antenna.mean_rss_dbm(np.maximum(away, 0.1), x[2])
+            return np.asarray(-0.5 * off**2 / antenna.sigma_db**2)
 
-    class Rss(MeasurementModel):  # type: ignore[misc]  # the library is not typed
-        ndim_state, ndim_meas, mapping = 3, 1, (0, 1, 2)
-        place: FloatArray
-        level: float
-
-        def function(self, state: Any, noise: bool = False, **_: Any) -> Any:
-            x = np.asarray(state.state_vector, dtype=float)
-            return StateVectors(self._mean(x)[None, :])
-
-        def _mean(self, x: FloatArray) -> FloatArray:
-            away = np.sqrt(
-                (x[0] - self.place[0]) ** 2 + (x[1] - self.place[1]) ** 2 + (up_m - self.place[2]) ** 2
-            )
-            return antenna.mean_rss_dbm(np.maximum(away, 0.1), x[2])
-
-        def rvs(self, num_samples: int = 1, **_: Any) -> Any:
-            return np.zeros((1, num_samples))
-
-        def pdf(self, state1: Any, state2: Any, **_: Any) -> Any:
-            return np.exp(self.logpdf(state1, state2))
-
-        def logpdf(self, state1: Any, state2: Any, **_: Any) -> Any:
-            off = self.level - self._mean(np.asarray(state2.state_vector, dtype=float))
-            return -0.5 * off**2 / antenna.sigma_db**2
+        return log_likelihood
 
     rng = np.random.default_rng(0)
     west, south, east, north = ground
@@ -121,22 +94,12 @@ def particle_filter(survey: Survey, antenna: Antenna, ground: Ground, up_m: floa
             rng.normal(0.0, POWER_SD_DB, PARTICLES),
         ]
     )
-    at = datetime(2000, 1, 1)
-    state = ParticleState(StateVectors(cloud), weight=np.full(PARTICLES, 1.0 / PARTICLES), timestamp=at)
     # Roughening keeps the cloud alive: a few per mille of the ground a step.
-    step = (0.002 * max(east - west, north - south)) ** 2
-    predictor = ParticlePredictor(
-        CombinedLinearGaussianTransitionModel([RandomWalk(step), RandomWalk(step), RandomWalk(0.02)])
-    )
-    updater = ParticleUpdater(None, SystematicResampler())
-    np.random.seed(0)  # noqa: NPY002  Stone Soup draws from numpy's global generator
+    step_m2 = (0.002 * max(east - west, north - south)) ** 2
+    particles = BootstrapFilter(cloud, step_m2, 0.02, seed=0)
     for place, level in zip(survey.place_m, survey.level_db, strict=True):
-        at += timedelta(seconds=1)
-        model = Rss()
-        model.place, model.level = place, float(level)
-        heard = Detection(StateVector([0.0]), timestamp=at, measurement_model=model)
-        state = updater.update(SingleHypothesis(predictor.predict(state, timestamp=at), heard))
-    return np.asarray(state.mean, dtype=float).ravel()[:2]
+        particles.update(log_likelihood_of(place, float(level)))
+    return particles.mean[:2]
 
 
 Baseline = Callable[[Survey, Antenna, Ground, float], FloatArray]
