@@ -137,6 +137,28 @@ def sniffer(
 
 
 @emulate.command()
+def printer(
+    style: Annotated[
+        str, typer.Option(help="Whose words: esp32-ble, rylr, meshtastic, rtl_433, ...")
+    ] = "rylr",
+    rate_hz: Annotated[float, typer.Option(min=0.001, help="Packets per second it hears.")] = 1.0,
+    rss_dbm: Annotated[float, typer.Option(help="How strongly it hears them, mean.")] = -70.0,
+    sigma_db: Annotated[float, typer.Option(help="Standard deviation of the strength.")] = 4.0,
+    seed: Seed = 1,
+) -> None:
+    """Emulate a radio that prints what it hears. Example: fieldkit emulate printer --style esp32-ble"""
+    import asyncio
+
+    from drivers.emulators.alone import run_printer
+    from drivers.emulators.printer import STYLES
+    from fieldkit.errors import ConfigError
+
+    if style not in STYLES:
+        raise ConfigError(f"--style: no '{style}'; there are: {', '.join(STYLES)}")
+    asyncio.run(run_printer(style, rate_hz, rss_dbm, sigma_db, seed))
+
+
+@emulate.command()
 def camera(
     out: Annotated[str, typer.Option(help="Folder that gets the calibration file.")] = ".",
     rate_hz: Annotated[float, typer.Option(min=0.1, max=60.0, help="Pictures per second.")] = 16.0,
@@ -183,13 +205,24 @@ def channels(
 def devices(
     port: Annotated[list[str] | None, typer.Argument(help="Ports to open and ask what they are.")] = None,
     baud: Annotated[int, typer.Option(help="Baud rate of the ports asked.")] = 115200,
+    watched: Annotated[
+        str | None,
+        typer.Option("--watch", metavar="PORT", help="Show the lines that come in, and propose a map."),
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=0.1, help="How long to watch.")] = 10.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Say what is plugged in and what it can hear. Example: fieldkit devices /dev/ttyUSB0"""
+    """Say what is plugged in and what it can hear; of a radio that prints, what its lines mean.
+
+    Example: fieldkit devices --watch /dev/ttyUSB0
+    """
     import json
 
     from drivers import inventory
 
+    if watched is not None:
+        _watch(watched, baud, seconds, as_json)
+        return
     found = [inventory.ask(each, baud) for each in port] if port else inventory.ports()
     if as_json:
         typer.echo(json.dumps(inventory.as_json(found)))
@@ -202,6 +235,39 @@ def devices(
             typer.echo(f"  {line}")
     if not found:
         typer.echo("no USB serial device is plugged in")
+
+
+def _watch(port: str, baud: int, seconds: float, as_json: bool) -> None:
+    """Lines as they come, and what a mission file would say of them."""
+    import json
+
+    from drivers.lines.maps import MAPS
+    from drivers.lines.propose import propose
+    from drivers.lines.receiver import watch
+
+    lines = watch(port, baud, seconds)
+    found = propose(lines)
+    if as_json:
+        told = None if found is None else {"toml": found.toml(), "read": found.read, "of": found.of}
+        typer.echo(json.dumps({"lines": lines, "proposal": told}))
+        return
+    for line in lines[-20:]:
+        typer.echo(f"  {line[:76]}")
+    if not lines:
+        typer.echo(
+            f"no line came from {port} within {seconds:g} s: is the radio on, is its baud rate {baud}?"
+        )
+    elif found is None:
+        typer.echo(
+            f"none of {len(lines)} lines is a reading under any map ({', '.join(MAPS)}), and none names an"
+        )
+        typer.echo(
+            "rssi, rss, signal, power or level: write 'format' and 'pattern' of your own, see docs/lines.md"
+        )
+    else:
+        about = found.map.about or "made from the lines themselves"
+        typer.echo(f"{found.read} of {len(lines)} lines are readings as: {about}")
+        typer.echo(f'receiver = {{ driver = "lines", port = "{port}", {found.toml()} }}')
 
 
 def vehicles(

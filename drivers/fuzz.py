@@ -8,6 +8,7 @@ packet by: there a damaged stream may also end with `CaptureError`, and the next
 """
 
 import json
+import math
 import random
 import time
 from collections.abc import Callable
@@ -18,7 +19,11 @@ from typing import Annotated, Any
 import typer
 
 from drivers.emulators.capture import classic_head, classic_record, tap_packet
+from drivers.emulators.printer import STYLES, PrintingRadio
 from drivers.emulators.sniffers import NrfDongle, TiDongle, data_frame
+from drivers.lines.mapping import Heard, LineMap, NoReadingError
+from drivers.lines.maps import MAPS
+from drivers.lines.receiver import LineSplitter
 from drivers.sniffers.capture import CaptureError, CaptureReader
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.nrf import NrfText
@@ -89,6 +94,38 @@ def _sniffer(make: Callable[[], Any], good: Callable[[random.Random], bytes]) ->
         return bool(after) and after[-1].psdu.endswith(b"the last") and len(held) < KEEPS
 
     return Codec(good, survives)
+
+
+def _lines(name: str) -> Codec:
+    """A damaged line is its own: the next one is read."""
+    style, line_map = STYLES[name], MAPS[name]
+    radio = PrintingRadio(lambda: 0, name)
+
+    def good(rng: random.Random) -> bytes:
+        sender = f"{rng.getrandbits(24):x}"
+        return (style(radio, -float(rng.randint(20, 100)), sender, rng.getrandbits(16)) + "\r\n").encode()
+
+    def survives(damaged: bytes, last: bytes) -> bool:
+        split, after = LineSplitter(), None
+        for at in range(0, len(damaged), 97):
+            for line in split.feed(damaged[at : at + 97]):
+                _is_sane(line_map, line)
+        for line in split.feed(b"\n" + last):
+            after = _is_sane(line_map, line)
+        return after is not None and len(split._rest) < KEEPS
+
+    return Codec(good, survives)
+
+
+def _is_sane(line_map: LineMap, line: str) -> Heard | None:
+    try:
+        heard = line_map.read(line)
+    except NoReadingError:
+        return None
+    assert heard is None or (
+        math.isfinite(heard.rss_dbm) and (heard.source is None or heard.source.isprintable())
+    )
+    return heard
 
 
 def _nrf_line(rng: random.Random, payload: bytes | None = None) -> bytes:
@@ -183,6 +220,7 @@ CODECS: dict[str, tuple[Codec, Callable[[random.Random], bytes], bytes]] = {
         lambda rng: classic_record(6_000_000_000, _tap(rng)),
         classic_head(),
     ),
+    **{f"lines-{name}": (_lines(name), _lines(name).good, b"") for name in STYLES},
     "pcapng": (_capture(_NG_HEAD, _ng_packet), lambda rng: _ng_packet(_tap(rng)), _NG_HEAD),
 }
 """Codec, the good frame at the end, and what a stream begins with."""

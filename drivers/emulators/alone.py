@@ -10,6 +10,7 @@ import typer
 
 from drivers.emulators.capture import PipeSniffer
 from drivers.emulators.field import EmulatedRobot, FieldSpec, start
+from drivers.emulators.printer import PrintingRadio
 from drivers.emulators.sniffers import NrfDongle, TiDongle
 from drivers.emulators.wires import PluggedModule, TcpWire, make_wire
 from drivers.emulators.xbee import Module, Profile
@@ -71,6 +72,18 @@ async def run_sniffer(
             strength = float(min(round(rng.normal(rss_dbm, sigma_db)), -1))
             radio.hear(strength, 0x1234, number.to_bytes(4, "big"), short_address=True)
             number += 1
+
+
+async def run_printer(style: str, rate_hz: float, rss_dbm: float, sigma_db: float, seed: int) -> None:
+    """A radio on a pty that prints packets as a Poisson process, in wall time."""
+    rng = np.random.default_rng(seed)
+    clock = RealClock()
+    radio = PluggedModule(PrintingRadio(lambda: clock.now_ns() // 1000, style), make_wire())
+    await radio.plug()
+    typer.echo(f'driver = "lines", port = "{radio.wire.port}", map = "{style}"   (Ctrl-C ends it)')
+    while True:
+        await asyncio.sleep(rng.exponential(1.0 / rate_hz))
+        radio.hear(float(min(round(rng.normal(rss_dbm, sigma_db)), -1)), 0x1234, b"")
 
 
 async def run_camera(folder: str, rate_hz: float, port: int) -> None:

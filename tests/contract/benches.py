@@ -19,11 +19,13 @@ from drivers.emulators.autopilot import Autopilot
 from drivers.emulators.bodies import Car
 from drivers.emulators.camera import PictureServer, Scene, Shown, still, write_calibration
 from drivers.emulators.capture import PipeSniffer
+from drivers.emulators.printer import PrintingRadio
 from drivers.emulators.profiles import ROVER, Profile
 from drivers.emulators.rover import make_autopilot
 from drivers.emulators.sniffers import NrfDongle, TiDongle
 from drivers.emulators.wires import Device, PluggedModule, PtyWire, TcpWire, Wire
 from drivers.emulators.xbee import Module
+from drivers.lines.receiver import open_receiver as open_lines
 from drivers.mavlink.fleet import open_link
 from drivers.positions.source import open_file
 from drivers.sniffers.pcap import open_capture
@@ -256,6 +258,8 @@ RECEIVERS: dict[str, Bench] = {
     "nrf-sniffer": on_wire(open_nrf, lambda: NrfDongle(now_us), pty),
     "ti-sniffer": on_wire(open_ti, lambda: TiDongle(now_us), pty),
     "pcap": capture_on_pipe,
+    "lines-pty": on_wire(open_lines, lambda: PrintingRadio(now_us, "rylr"), pty, map="rylr"),
+    "lines-tcp": on_wire(open_lines, lambda: PrintingRadio(now_us, "meshtastic"), tcp, map="meshtastic"),
     "ed": survey_on_wire,
 }
 VEHICLE_LINKS = {"mavlink": mavlink_on_rovers}

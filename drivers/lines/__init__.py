@@ -1,0 +1,1 @@
+"""Any radio that prints: lines of text, mapped to readings by a few keys."""

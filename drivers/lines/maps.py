@@ -1,0 +1,112 @@
+"""Ready-made maps, by the name a mission file gives. Each has a line from the device's own documents as its example."""
+
+from drivers.lines.mapping import LineMap
+
+MAPS: dict[str, LineMap] = {
+    "json": LineMap(
+        "json",
+        rss="rss_dbm",
+        source="source_id",
+        channel="channel",
+        heard="",
+        about="one JSON object a line with rss_dbm, and source_id and channel where known",
+        example='{"rss_dbm": -71.5, "source_id": "tag-7", "channel": 15}',
+    ),
+    "esp32-wifi": LineMap(
+        "regex",
+        rss="rss",
+        pattern=r"^\s*\d+ \| (?P<ssid>.{0,32}?)\s*\| +(?P<rss>-?\d+) \| +(?P<channel>\d+) \|",
+        source="ssid",
+        channel="channel",
+        about="ESP32 Arduino example WiFiScan: a table of access points",
+        example=" 1 | field-beacon                     |  -58 |  6 | WPA2",
+    ),
+    "esp32-ble": LineMap(
+        "regex",
+        rss="rss",
+        pattern=r"Address: (?P<address>[0-9A-Fa-f:]{17}).*rssi: (?P<rss>-?\d+)",
+        source="address",
+        about="ESP32 Arduino example BLE scan: 'Advertised Device: ...'",
+        example="Advertised Device: Name: tag, Address: 5c:31:3e:a1:b2:c3, rssi: -72",
+    ),
+    "meshtastic": LineMap(
+        "json",
+        rss="rxRssi",
+        source="fromId",
+        time="rxTime",
+        number="id",
+        about="packets of Meshtastic's Python package (topic meshtastic.receive), each printed as JSON",
+        example='{"from": 2130636288, "fromId": "!7efeee00", "id": 447103, "rxTime": 1700000000, "rxSnr": 6.25, '
+        '"rxRssi": -93, "decoded": {"portnum": "POSITION_APP"}}',
+    ),
+    "meshtastic-mqtt": LineMap(
+        "json",
+        rss="rssi",
+        source="from",
+        time="timestamp",
+        number="id",
+        about="Meshtastic's JSON over MQTT (msh/REGION/2/json/...)",
+        example='{"channel": 0, "from": 2130636288, "id": 452664778, "payload": {"text": "hi"}, "rssi": -97, '
+        '"sender": "!7efeee00", "snr": 5.5, "timestamp": 1646832724, "to": -1, "type": "text"}',
+    ),
+    "rylr": LineMap(
+        "regex",
+        rss="rss",
+        pattern=r"\+RCV=(?P<address>\d+),\d+,.*,(?P<rss>-?\d+),-?\d+\s*$",
+        source="address",
+        about="REYAX RYLR896/998 LoRa modules: +RCV=address,length,data,RSSI,SNR",
+        example="+RCV=50,5,HELLO,-99,40",
+    ),
+    "rak": LineMap(
+        "regex",
+        rss="rss",
+        pattern=r"\+EVT:RXP2P:(?P<rss>-?\d+):-?\d+:",
+        about="RAK3172 and other RUI3 LoRa modules in P2P: +EVT:RXP2P:RSSI:SNR:payload",
+        example="+EVT:RXP2P:-84:11:48656C6C6F",
+    ),
+    "lora-e5": LineMap(
+        "regex",
+        rss="rss",
+        pattern=r"\+TEST: LEN:\d+, RSSI:(?P<rss>-?\d+), SNR:",
+        about="Seeed LoRa-E5 in test mode: +TEST: LEN, RSSI, SNR",
+        example="+TEST: LEN:250, RSSI:-106, SNR:10",
+    ),
+    "rtl_433": LineMap(
+        "json",
+        rss="rssi",
+        source="id",
+        time="time",
+        time_unit="iso",
+        unit="relative dB",
+        about="rtl_433 -F json -M level: decoded devices; the strength is relative to full scale",
+        example='{"time": "2024-05-01 12:00:00", "model": "Acurite-Tower", "id": 11524, "channel": "A", '
+        '"mod": "ASK", "freq": 433.938, "rssi": -12.144, "snr": 18.325, "noise": -30.47}',
+    ),
+    "rtl_power": LineMap(
+        "csv",
+        rss="db",
+        columns=("date", "time", "hz_low", "hz_high", "hz_step", "samples", "db*"),
+        unit="relative dB",
+        about="rtl_power: a row a sweep; the strongest bin counts, relative to full scale",
+        example="2024-05-01, 12:00:00, 433050000, 434790000, 217500.00, 10, -31.2, -18.44, -30.91, -32.0",
+    ),
+    "kismet": LineMap(
+        "json",
+        rss="rss_dbm",
+        source="source_id",
+        channel="channel",
+        time="time",
+        about="devices of Kismet, from port kismet://HOST:2501 or kismetdb:FILE",
+        example='{"rss_dbm": -61, "source_id": "5C:31:3E:A1:B2:C3", "channel": 6, "time": 1700000000}',
+    ),
+    "ctt": LineMap(
+        "csv",
+        rss="TagRSSI",
+        columns=("Time", "RadioId", "TagId", "TagRSSI", "NodeId", "Validated"),
+        source="TagId",
+        time="Time",
+        time_unit="iso",
+        about="Cellular Tracking Technologies' stations: raw detections of LifeTags and PowerTags",
+        example="2021-03-01 14:03:12.312,4,4C34074B,-83,,0",
+    ),
+}

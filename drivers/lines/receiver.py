@@ -1,0 +1,250 @@
+"""Any radio that prints as a `Receiver`.
+
+Silence is known to be silence only while the radio is known to work: with `heartbeat_s` the receiver counts as down
+when no line at all has come for so long; without it, it counts as up while its port is open. A receiver whose lines
+make no sense under its map counts as down too, and says which line and what is missing.
+"""
+
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from drivers.lines.mapping import Heard, LineMap, NoReadingError
+from drivers.lines.maps import MAPS
+from drivers.lines.sources import open_source
+from drivers.links import ByteLink, arrival_ns
+from drivers.options import checked
+from drivers.reconnecting import KeptReceiver
+from drivers.timebase import TimeBase
+from fieldkit.errors import ConfigError
+from fieldkit.messages import ReceiverState, RssReading
+from fieldkit.ports import DriverContext
+
+LONGEST_LINE = 65_536
+SENSELESS = 5
+"""So many lines in a row that are no readings, and the receiver counts as down until one is."""
+SHOWN = 80
+"""Of a line that makes no sense so much is shown."""
+CLOCK_JUMP_NS = 5_000_000_000
+"""The radio's clock and ours may not part further than this between two lines: else it was set, or started anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinesOptions:
+    """What a mission file says of a radio that prints."""
+
+    port: str
+    map: str = ""
+    """A ready-made map; the keys below change it, or make one where none is named."""
+    format: str | None = None
+    pattern: str | None = None
+    columns: list[Any] | None = None
+    rss: str | None = None
+    unit: str | None = None
+    source: str | None = None
+    channel: str | None = None
+    time: str | None = None
+    time_unit: str | None = None
+    number: str | None = None
+    heard: str | None = None
+    only: str | None = None
+    """Readings of this source alone; others are passed over."""
+    only_channel: int | None = None
+    heartbeat_s: float | None = None
+    """Mission time without any line after which the radio counts as down."""
+    from_start: bool = False
+    """Of a file: read what is in it already."""
+    baud: int = 115200
+    saturation_dbm: float | None = None
+
+
+def open_receiver(robot: str, options: Mapping[str, Any], around: DriverContext) -> "LinesReceiver":
+    """A radio that prints, not opened yet. Raises `ConfigError`."""
+    where = f"receiver of {robot} (lines)"
+    given = checked(LinesOptions, options, where)
+    if given.heartbeat_s is not None and not given.heartbeat_s > 0:
+        raise ConfigError(f"{where}: option 'heartbeat_s': expected above 0, got {given.heartbeat_s:g}")
+    return LinesReceiver(robot, given, map_of(given, where), around)
+
+
+def map_of(options: LinesOptions, where: str) -> LineMap:
+    """The map that the options name or make. Raises `ConfigError`."""
+    if options.map and options.map not in MAPS:
+        raise ConfigError(f"{where}: option 'map': expected one of {', '.join(MAPS)}, got {options.map!r}")
+    if not options.map and options.format is None:
+        raise ConfigError(
+            f"{where}: expected 'map' (one of {', '.join(MAPS)}), or 'format' with the keys of a map of your own; "
+            "'fieldkit devices --watch PORT' shows what comes in and proposes one"
+        )
+    own: dict[str, Any] = {}
+    for each in fields(LineMap):
+        value = getattr(options, each.name, None)
+        if value is not None:
+            own[each.name] = tuple(map(str, value)) if each.name == "columns" else value
+    base = MAPS[options.map] if options.map else LineMap(own["format"])
+    made = replace(base, **own)
+    made.check(where)
+    return made
+
+
+@dataclass(slots=True)
+class LineSplitter:
+    """Bytes in, lines out; a line that is too long is dropped whole."""
+
+    dropped: int = 0
+    _rest: bytes = b""
+    _dropping: bool = field(default=False)
+
+    def feed(self, data: bytes) -> list[str]:
+        """Whole lines, without their ends; what is no UTF-8 is kept as replacement characters."""
+        *whole, rest = (self._rest + data).split(b"\n")
+        if whole and self._dropping:
+            del whole[0]
+            self._dropping = False
+        if len(rest) > LONGEST_LINE:
+            self.dropped += not self._dropping
+            self._dropping, rest = True, b""
+        self._rest = rest
+        lines = [
+            line.decode("utf-8", "replace").strip("\r \t\x00") for line in whole if len(line) <= LONGEST_LINE
+        ]
+        return [line for line in lines if line]
+
+
+class LinesReceiver(KeptReceiver):
+    """Entering opens the port and reads; nothing is sent."""
+
+    def __init__(self, robot: str, options: LinesOptions, line_map: LineMap, around: DriverContext) -> None:
+        super().__init__(robot, f"lines of {robot}", around)
+        self._options, self._map = options, line_map
+        self._link: ByteLink | None = None
+        self._thread: threading.Thread | None = None
+        self._running = threading.Event()
+
+    def _open_device(self, first: bool) -> str:
+        options = self._options
+        # What was printed while the port was away has been missed either way.
+        start = options.from_start and first
+        self._link = open_source(options.port, options.baud, self._name, from_start=start, tap=self._tap)
+        self._running.set()
+        self._split, self._time = LineSplitter(), TimeBase()
+        self._last_ns: tuple[int, int] | None = None
+        self._stamp_ns = 0
+        self._senseless, self._down = 0, False
+        self._thread = threading.Thread(target=self._read, args=(self._link,), name=self._name, daemon=True)
+        return f"lines from {options.port} as {options.map or self._map.format}"
+
+    def _start(self) -> None:
+        if self._thread is not None:
+            self._thread.start()
+
+    def _close_device(self) -> None:
+        self._running.clear()
+        if self._thread is not None and self._thread.is_alive():
+            self._thread.join()
+        self._thread = None
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    # What follows runs in the reader thread.
+
+    def _read(self, link: ByteLink) -> None:
+        self._line_s = self._clock.elapsed_s()
+        while self._running.is_set():
+            try:
+                data = link.read()
+            except (
+                OSError,
+                TypeError,
+                AttributeError,
+                ValueError,
+            ) as error:  # pyserial's, when closed under a read
+                self._on_lost(f"the port went away ({error})")
+                return
+            if data:
+                t_ns = arrival_ns(link, self._clock)
+                for line in self._split.feed(data):
+                    self._take(line, t_ns)
+            self._mind_the_heartbeat(bool(data))
+
+    def _mind_the_heartbeat(self, came: bool) -> None:
+        now_s, limit_s = self._clock.elapsed_s(), self._options.heartbeat_s
+        if came:
+            self._line_s = now_s
+            if self._down and self._senseless == 0:
+                self._set_down(False, "lines come again")
+        elif limit_s is not None and not self._down and now_s - self._line_s > limit_s:
+            self._set_down(True, f"no line for {now_s - self._line_s:.0f} s")
+
+    def _set_down(self, down: bool, reason: str) -> None:
+        self._down = down
+        with self._gate:
+            if self._listening:
+                self._put(ReceiverState(self._clock.now_ns(), self.robot, not down, reason), always=True)
+
+    def _take(self, line: str, t_ns: int) -> None:
+        try:
+            heard = self._map.read(line)
+        except NoReadingError as error:
+            self._senseless += 1
+            if self._senseless == SENSELESS and not self._down:
+                self._set_down(True, f"its lines are no readings: {line[:SHOWN]!r} {error}")
+            return
+        self._senseless = 0
+        if self._down:
+            self._set_down(False, "its lines are readings")
+        if heard is not None and self._is_wanted(heard):
+            self._give(self._reading(heard, t_ns))
+
+    def _is_wanted(self, heard: Heard) -> bool:
+        options = self._options
+        return (options.only is None or heard.source == options.only) and (
+            options.only_channel is None or heard.channel == options.only_channel
+        )
+
+    def _reading(self, heard: Heard, t_ns: int) -> RssReading:
+        ceiling = self._options.saturation_dbm
+        name = heard.source
+        if name is not None and heard.number is not None:
+            name = f"{name}/{heard.number & 0xFF:02x}"
+        return RssReading(
+            t_ns=self._mission_time(heard.time_s, t_ns),
+            robot=self.robot,
+            rss_dbm=heard.rss_dbm,
+            via="lines",
+            channel=heard.channel,
+            frame_id=name,
+            saturated=ceiling is not None and heard.rss_dbm >= ceiling,
+        )
+
+    def _mission_time(self, by_radio_s: float | None, t_ns: int) -> int:
+        """The radio's own stamp in mission time, however far its clock is off; the arrival where it gives none."""
+        if by_radio_s is None or abs(by_radio_s) > 1e12:
+            self._stamp_ns = max(t_ns, self._stamp_ns)
+            return self._stamp_ns
+        radio_ns = round(by_radio_s * 1e9)
+        if self._last_ns is not None:
+            apart_ns = (radio_ns - self._last_ns[0]) - (t_ns - self._last_ns[1])
+            if abs(apart_ns) > CLOCK_JUMP_NS:
+                self._time.clear()
+        self._last_ns = (radio_ns, t_ns)
+        self._stamp_ns = max(min(self._time.heard(radio_ns, t_ns), t_ns), self._stamp_ns)
+        return self._stamp_ns
+
+
+def watch(port: str, baud: int, seconds: float) -> list[str]:
+    """The lines that come in within `seconds` of wall time. Raises `DeviceError`."""
+    link, split = open_source(port, baud, "watch", from_start=True), LineSplitter()
+    lines: list[str] = []
+    try:
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s and len(lines) < 1_000:
+            lines += split.feed(link.read())
+    except OSError:
+        pass  # it has ended: what came is what there is
+    finally:
+        link.close()
+    return lines

@@ -1,0 +1,244 @@
+"""Where lines come from: a serial device, a network, standard input, a pipe, a growing file, a broker, Kismet.
+
+Each is a `ByteLink`: `read` waits a moment and gives what has come, and raises `OSError` when its device is gone.
+"""
+
+import contextlib
+import os
+import select
+import selectors
+import socket
+import stat
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from drivers.links import READ_TIMEOUT_S, ByteLink, TappedLink, host_and_port, open_link
+from fieldkit.errors import DeviceError
+
+POLL_S = 0.05
+LARGEST_DATAGRAM = 65_536
+MOST_CLIENTS = 16
+
+PORTS = (
+    "a serial device, socket://HOST:PORT, tcp://HOST:PORT (waits for connections), udp://HOST:PORT, "
+    "- (standard input), a file or pipe, mqtt://HOST/TOPIC, kismet://HOST:PORT, kismetdb:FILE"
+)
+
+
+def open_source(
+    port: str, baud: int, device: str, *, from_start: bool, tap: Callable[[bytes], None] | None = None
+) -> ByteLink:
+    """Open what `port` names. Raises `DeviceError` with the remedy."""
+    try:
+        link = _open(port, baud, device, from_start)
+    except DeviceError:
+        raise
+    except (OSError, ValueError) as error:
+        raise DeviceError(f"{device}: {port}: {error}; a port may be {PORTS}") from error
+    return link if tap is None else TappedLink(link, tap)
+
+
+def _open(port: str, baud: int, device: str, from_start: bool) -> ByteLink:
+    scheme, _, rest = port.partition("://")
+    if port == "-":
+        return StdinLink()
+    if scheme == "udp":
+        return UdpLink(*host_and_port(rest))
+    if scheme == "tcp":
+        return TcpServerLink(*host_and_port(rest))
+    if scheme == "mqtt":
+        from drivers.lines.broker import MqttLink
+
+        return MqttLink(rest, device)
+    if scheme in ("kismet", "kismets"):
+        from drivers.lines.kismet import KismetLink
+
+        return KismetLink(port, device)
+    if port.startswith("kismetdb:"):
+        from drivers.lines.kismet import KismetDbLink
+
+        return KismetDbLink(Path(port.removeprefix("kismetdb:")), from_start)
+    path = Path(port.removeprefix("file:"))
+    if "://" not in port and path.exists() and not stat.S_ISCHR(path.stat().st_mode):
+        return PipeLink(path) if stat.S_ISFIFO(path.stat().st_mode) else FileLink(path, from_start)
+    return open_link(port, baud, device)
+
+
+class _Listening:
+    """What sources that only listen have in common."""
+
+    def __init__(self) -> None:
+        self.arrived_s = time.monotonic()
+
+    def write(self, data: bytes) -> None:
+        """Nothing is ever sent."""
+        raise OSError("this source cannot be written to")
+
+
+class UdpLink(_Listening):
+    """Datagrams to a port of ours; each ends its last line, whether a newline does or not."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        self._socket.bind((host, port))
+        self._socket.settimeout(READ_TIMEOUT_S)
+
+    def read(self) -> bytes:
+        """All datagrams that wait."""
+        try:
+            came = [self._socket.recv(LARGEST_DATAGRAM)]
+        except TimeoutError:
+            return b""
+        self.arrived_s = time.monotonic()
+        self._socket.setblocking(False)
+        try:
+            while len(came) < 256:
+                came.append(self._socket.recv(LARGEST_DATAGRAM))
+        except BlockingIOError:
+            pass
+        finally:
+            self._socket.settimeout(READ_TIMEOUT_S)
+        return b"".join(data if data.endswith(b"\n") else data + b"\n" for data in came)
+
+    def close(self) -> None:
+        """Twice is harmless."""
+        self._socket.close()
+
+
+class TcpServerLink(_Listening):
+    """A port that radios connect to. Lines of several are not mixed within a line."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        self._server = socket.create_server(
+            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET
+        )
+        self._server.setblocking(False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._server, selectors.EVENT_READ)
+        self._rest: dict[socket.socket, bytes] = {}
+
+    def read(self) -> bytes:
+        """Whole lines only."""
+        lines = b""
+        for key, _ in self._selector.select(READ_TIMEOUT_S):
+            if key.fileobj is self._server:
+                self._accept()
+            elif isinstance(key.fileobj, socket.socket):
+                lines += self._take(key.fileobj)
+        if lines:
+            self.arrived_s = time.monotonic()
+        return lines
+
+    def _accept(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            client, _ = self._server.accept()
+            if len(self._rest) >= MOST_CLIENTS:
+                client.close()
+                return
+            client.setblocking(False)
+            self._rest[client] = b""
+            self._selector.register(client, selectors.EVENT_READ)
+
+    def _take(self, client: socket.socket) -> bytes:
+        try:
+            data = client.recv(LARGEST_DATAGRAM)
+        except OSError:
+            data = b""
+        if not data:
+            rest = self._rest.pop(client)
+            self._selector.unregister(client)
+            client.close()
+            return rest + b"\n" if rest else b""
+        whole, newline, rest = (self._rest[client] + data).rpartition(b"\n")
+        self._rest[client] = rest[-LARGEST_DATAGRAM:]
+        return whole + newline
+
+    def close(self) -> None:
+        """Twice is harmless."""
+        for client in self._rest:
+            client.close()
+        self._rest.clear()
+        self._selector.close()
+        self._server.close()
+
+
+class StdinLink(_Listening):
+    """What another program prints into ours. Its end is the end: it cannot be opened again."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._descriptor = sys.stdin.fileno()
+
+    def read(self) -> bytes:
+        """Raises `OSError` at its end."""
+        if not select.select([self._descriptor], [], [], READ_TIMEOUT_S)[0]:
+            return b""
+        data = os.read(self._descriptor, LARGEST_DATAGRAM)
+        if not data:
+            raise OSError("the program that prints has ended")
+        self.arrived_s = time.monotonic()
+        return data
+
+    def close(self) -> None:
+        """Standard input stays open: it is not ours to close."""
+
+
+class PipeLink(_Listening):
+    """A named pipe; whoever writes may come and go."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path = path
+        # Opened for writing too, the pipe does not end with its first writer.
+        self._descriptor = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+
+    def read(self) -> bytes:
+        """Raises `OSError` when the pipe is removed."""
+        if not select.select([self._descriptor], [], [], READ_TIMEOUT_S)[0]:
+            if not self._path.exists():
+                raise FileNotFoundError(f"{self._path} was removed")
+            return b""
+        self.arrived_s = time.monotonic()
+        return os.read(self._descriptor, LARGEST_DATAGRAM)
+
+    def close(self) -> None:
+        """Twice is harmless."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+class FileLink(_Listening):
+    """A file that grows; one that was cut or replaced is read anew from its beginning."""
+
+    def __init__(self, path: Path, from_start: bool) -> None:
+        super().__init__()
+        self._path = path
+        self._file = path.open("rb")
+        self._inode = os.fstat(self._file.fileno()).st_ino
+        if not from_start:
+            self._file.seek(0, os.SEEK_END)
+
+    def read(self) -> bytes:
+        """Raises `OSError` when the file is removed."""
+        data = self._file.read(LARGEST_DATAGRAM)
+        if data:
+            self.arrived_s = time.monotonic()
+            return data
+        now = self._path.stat()
+        if now.st_ino != self._inode or now.st_size < self._file.tell():
+            self._file.close()
+            self._file = self._path.open("rb")
+            self._inode = os.fstat(self._file.fileno()).st_ino
+        time.sleep(POLL_S)
+        return b""
+
+    def close(self) -> None:
+        """Twice is harmless."""
+        self._file.close()

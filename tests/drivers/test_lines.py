@@ -1,0 +1,448 @@
+"""Radios that print: every ready-made map on its documented line, every source, and what makes no sense."""
+
+import asyncio
+import json
+import os
+import sqlite3
+import threading
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from functools import partial
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+
+from drivers.emulators.printer import STYLES, PrintingRadio
+from drivers.emulators.wires import PluggedModule, PtyWire
+from drivers.lines.mapping import Heard, LineMap, NoReadingError
+from drivers.lines.maps import MAPS
+from drivers.lines.propose import propose
+from drivers.lines.receiver import LONGEST_LINE, SENSELESS, LineSplitter, open_receiver
+from fieldkit.clock import RealClock
+from fieldkit.errors import ConfigError, DeviceError
+from fieldkit.geo import FieldFrame
+from fieldkit.messages import ReceiverState, RssReading
+from fieldkit.ports import DriverContext
+
+DOCUMENTED = {
+    "json": Heard(-71.5, "tag-7", 15),
+    "esp32-wifi": Heard(-58.0, "field-beacon", 6),
+    "esp32-ble": Heard(-72.0, "5c:31:3e:a1:b2:c3"),
+    "meshtastic": Heard(-93.0, "!7efeee00", None, None, 447103),
+    "meshtastic-mqtt": Heard(-97.0, "2130636288", None, None, 452664778),
+    "rylr": Heard(-99.0, "50"),
+    "rak": Heard(-84.0),
+    "lora-e5": Heard(-106.0),
+    "rtl_433": Heard(-12.144, "11524"),
+    "rtl_power": Heard(-18.44),
+    "kismet": Heard(-61.0, "5C:31:3E:A1:B2:C3", 6),
+    "ctt": Heard(-83.0, "4C34074B", None, 1614607392.312),
+}
+
+
+def context() -> DriverContext:
+    return DriverContext(RealClock(), FieldFrame(0.0, 0.0))
+
+
+class Collected:
+    """What a receiver gives, as it comes."""
+
+    def __init__(self) -> None:
+        self.items: list[Any] = []
+
+    @property
+    def readings(self) -> list[RssReading]:
+        return [item for item in self.items if isinstance(item, RssReading)]
+
+    @property
+    def states(self) -> list[ReceiverState]:
+        return [item for item in self.items if isinstance(item, ReceiverState)]
+
+    @property
+    def is_up(self) -> bool:
+        return not self.states or self.states[-1].up
+
+    async def until(self, fits: Callable[["Collected"], bool]) -> None:
+        async with asyncio.timeout(15.0):
+            while not fits(self):  # noqa: ASYNC110 - it is the list that is watched
+                await asyncio.sleep(0.01)
+
+
+@asynccontextmanager
+async def receiving(**options: Any) -> AsyncIterator[Collected]:
+    seen = Collected()
+
+    async def collect() -> None:
+        async for item in receiver.readings():
+            seen.items.append(item)
+
+    async with open_receiver("ada", options, context()) as receiver:
+        task = asyncio.create_task(collect())
+        yield seen
+    await task
+
+
+# -- maps ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_a_ready_made_map_reads_the_line_its_documents_show(name: str) -> None:
+    MAPS[name].check(name)
+    assert MAPS[name].about
+    assert MAPS[name].read(MAPS[name].example) == DOCUMENTED[name]
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_a_documented_line_gets_its_own_map_proposed(name: str) -> None:
+    found = propose(["booting", MAPS[name].example, MAPS[name].example])
+    assert found is not None and found.read == 2
+    assert found.map.read(MAPS[name].example).rss_dbm == DOCUMENTED[name].rss_dbm  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("name", STYLES)
+def test_what_an_emulated_radio_prints_is_read_by_the_map_of_its_name(name: str) -> None:
+    line = (PrintingRadio(lambda: 0, name).hear(-77.0, 0xBEEF, b"") or b"").decode()
+    heard = MAPS[name].read(line.strip())
+    assert heard is not None and heard.rss_dbm == -77.0
+
+
+@pytest.mark.parametrize(
+    ("line_map", "line", "says"),
+    [
+        (LineMap("json", rss="a.b"), "[1]", "not an object"),
+        (LineMap("json", rss="a.b"), "{", "is not JSON"),
+        (LineMap("json", rss="a.b"), '{"a": {"c": -70}}', "no number at 'a.b'"),
+        (LineMap("json"), '{"rss": true}', "no number"),
+        (LineMap("json"), '{"rss": NaN}', "no number"),
+        (LineMap("json"), '{"rss": 71}', 'reads 71 dBm, which no radio receives: is the unit "-dBm"'),
+        (LineMap("json", unit="-dBm"), '{"rss": -71}', 'is the unit "dBm"?'),
+        (LineMap("regex", pattern="rssi (?P<rss>.*)"), "hello", "does not match"),
+        (LineMap("regex", pattern="rssi (?P<rss>.*)"), "rssi loud", "no number"),
+    ],
+)
+def test_a_line_that_is_no_reading_says_why(line_map: LineMap, line: str, says: str) -> None:
+    with pytest.raises(NoReadingError) as refused:
+        line_map.read(line)
+    assert says in str(refused.value)
+
+
+def test_units_signs_and_commas_are_stated_once() -> None:
+    assert LineMap("json", unit="-dBm").read('{"rss": 71}') == Heard(-71.0)
+    assert LineMap("json", unit="relative dB").read('{"rss": 71.5}') == Heard(71.5)
+    assert LineMap("regex", pattern="(?P<rss>-[0-9,]+)").read("at -70,5 dBm") == Heard(-70.5)
+    assert LineMap("json", heard="ok").read('{"ok": false}') is None
+    assert LineMap("json", time="t", time_unit="ms").read('{"rss": -70, "t": 1500}') == Heard(
+        -70.0, time_s=1.5
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({}, "expected 'map'"),
+        ({"map": "esp"}, "option 'map': expected one of json, esp32-wifi"),
+        ({"format": "xml"}, "option 'format': expected json, regex, csv"),
+        ({"format": "regex", "pattern": "("}, "not a regular expression"),
+        ({"format": "regex", "pattern": "(?P<power>x)"}, "named groups power; rss is missing"),
+        ({"format": "csv", "columns": ["a", "b"]}, "option 'columns' names a, b; rss is missing"),
+        ({"map": "json", "unit": "mW"}, "option 'unit': expected dBm"),
+        ({"map": "json", "time_unit": "h"}, "option 'time_unit': expected s, ms, us, iso"),
+        ({"map": "json", "heartbeat_s": 0}, "option 'heartbeat_s': expected above 0"),
+        ({"map": "json", "speed": 1}, "unknown option 'speed'"),
+    ],
+)
+def test_a_map_that_makes_no_sense_is_refused_before_anything_is_opened(
+    options: dict[str, Any], says: str
+) -> None:
+    with pytest.raises(ConfigError) as refused:
+        open_receiver("ada", {"port": "/dev/null", **options}, context())
+    assert says in str(refused.value)
+
+
+@budget(max_examples=200, deadline=None)
+@given(st.text(max_size=200), st.sampled_from(sorted(MAPS)))
+def test_any_line_is_a_reading_or_no_reading(line: str, name: str) -> None:
+    try:
+        heard = MAPS[name].read(line)
+    except NoReadingError:
+        return
+    assert heard is None or heard.rss_dbm == heard.rss_dbm
+
+
+@budget(max_examples=100, deadline=None)
+@given(
+    st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\n\r\x00")), max_size=20),
+    st.integers(1, 50),
+)
+def test_lines_come_out_whole_however_they_are_cut(lines: list[str], cut: int) -> None:
+    data = "".join(line + "\r\n" for line in lines).encode()
+    split, out = LineSplitter(), list[str]()
+    for at in range(0, len(data), cut):
+        out += split.feed(data[at : at + cut])
+    assert out == [line.strip("\r \t\x00") for line in lines if line.strip("\r \t\x00")]
+
+
+def test_a_line_without_end_is_dropped_and_takes_no_memory() -> None:
+    split = LineSplitter()
+    for _ in range(100):
+        assert split.feed(b"x" * 10_000) == []
+    assert len(split._rest) <= LONGEST_LINE
+    assert split.feed(b"tail\nnext\n") == ["next"]
+    assert split.dropped == 1
+
+
+# -- sources ---------------------------------------------------------------------------------------------------
+
+GOOD = b'{"rss_dbm": -71, "source_id": "a"}\n'
+
+
+async def test_udp_datagrams_are_lines(unused_udp_port: int) -> None:
+    async with receiving(port=f"udp://127.0.0.1:{unused_udp_port}", map="json") as seen:
+        transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+            asyncio.DatagramProtocol, remote_addr=("127.0.0.1", unused_udp_port)
+        )
+        for _ in range(5):
+            transport.sendto(GOOD.rstrip())
+        await seen.until(lambda s: len(s.readings) == 5)
+        transport.close()
+    assert {(r.rss_dbm, r.frame_id, r.via) for r in seen.readings} == {(-71.0, "a", "lines")}
+
+
+async def test_several_radios_may_connect_and_their_lines_are_not_mixed(unused_tcp_port: int) -> None:
+    async with receiving(port=f"tcp://127.0.0.1:{unused_tcp_port}", map="json") as seen:
+        writers = [(await asyncio.open_connection("127.0.0.1", unused_tcp_port))[1] for _ in range(3)]
+        for half in (GOOD[:15], GOOD[15:]):
+            for writer in writers:
+                writer.write(half)
+                await writer.drain()
+                await asyncio.sleep(0.02)
+        writers[0].write(GOOD.rstrip())  # its last line has no end: the connection's is one
+        for writer in writers:
+            writer.close()
+        await seen.until(lambda s: len(s.readings) == 4)
+
+
+async def test_a_file_that_grows_is_followed_also_when_it_is_replaced(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    log.write_bytes(GOOD * 3)
+    async with receiving(port=str(log), map="json") as seen:
+        await asyncio.sleep(0.2)
+        assert not seen.readings  # what was in it already is the past
+        with log.open("ab") as file:
+            file.write(GOOD)
+        await seen.until(lambda s: len(s.readings) == 1)
+        other = tmp_path / "new.jsonl"
+        other.write_bytes(GOOD * 2)
+        other.replace(log)
+        await seen.until(lambda s: len(s.readings) == 3)
+    async with receiving(port=str(log), map="json", from_start=True) as seen:
+        await seen.until(lambda s: len(s.readings) == 2)
+
+
+async def test_a_named_pipe_outlives_its_writers(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    async with receiving(port=str(pipe), map="json") as seen:
+        for count in (1, 2):
+            descriptor = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+            os.write(descriptor, GOOD)
+            os.close(descriptor)
+            await seen.until(lambda s, count=count: len(s.readings) == count)  # type: ignore[misc]
+
+
+async def test_standard_input_ends_when_the_other_program_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    reader, writer = os.pipe()
+    with os.fdopen(reader) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        async with receiving(port="-", map="json") as seen:
+            os.write(writer, GOOD)
+            await seen.until(lambda s: len(s.readings) == 1)
+            os.close(writer)
+            await seen.until(lambda s: not s.is_up)
+    assert "the program that prints has ended" in seen.states[-1].reason
+
+
+async def test_a_broker_is_listened_to_and_missed_when_it_goes(unused_tcp_port: int) -> None:
+    from amqtt.broker import Broker  # type: ignore[import-untyped]
+    from paho.mqtt import publish
+
+    config = {
+        "listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{unused_tcp_port}"}},
+        "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
+    }
+    broker = Broker(config)
+    await broker.start()
+    async with receiving(port=f"mqtt://127.0.0.1:{unused_tcp_port}/field/+/rx", map="json") as seen:
+        send = partial(
+            publish.single, "field/r1/rx", GOOD.rstrip(), hostname="127.0.0.1", port=unused_tcp_port
+        )
+        await asyncio.get_running_loop().run_in_executor(None, send)
+        await seen.until(lambda s: len(s.readings) == 1)
+        await broker.shutdown()
+        await seen.until(lambda s: not s.is_up)
+    assert seen.readings[0].rss_dbm == -71.0
+
+
+async def test_no_broker_is_an_error_that_names_the_address(unused_tcp_port: int) -> None:
+    with pytest.raises(DeviceError, match=f"127.0.0.1:{unused_tcp_port}"):
+        async with receiving(port=f"mqtt://127.0.0.1:{unused_tcp_port}/x", map="json"):
+            pass
+    with pytest.raises(DeviceError, match="got no topic"):
+        async with receiving(port="mqtt://127.0.0.1", map="json"):
+            pass
+
+
+async def test_kismet_gives_a_line_for_each_device_heard_again() -> None:
+    packets = {"count": 3}
+
+    class Server(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            asked = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+            names = {name for _, name in asked["fields"]}
+            assert names == {"mac", "channel", "time", "packets", "signal"}
+            device = {
+                "mac": "5C:31:3E:A1:B2:C3",
+                "channel": "6",
+                "time": 5,
+                "packets": packets["count"],
+                "signal": -61,
+            }
+            answer = json.dumps([device, {"mac": "x", "packets": 1, "signal": 0}]).encode()
+            self.send_response(200 if self.headers.get("Cookie") == "KISMET=secret" else 401)
+            self.end_headers()
+            self.wfile.write(answer)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = HTTPServer(("127.0.0.1", 0), Server)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        async with receiving(
+            port=f"kismet://127.0.0.1:{server.server_port}?key=secret", map="kismet"
+        ) as seen:
+            await asyncio.sleep(1.2)
+            assert not seen.readings  # known already when we came
+            packets["count"] += 1
+            await seen.until(lambda s: len(s.readings) == 1)
+        with pytest.raises(DeviceError, match="answers 401; give an API key"):
+            async with receiving(port=f"kismet://127.0.0.1:{server.server_port}", map="kismet"):
+                pass
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+    assert (seen.readings[0].frame_id, seen.readings[0].channel) == ("5C:31:3E:A1:B2:C3", 6)
+
+
+async def test_a_kismet_database_gives_a_line_for_each_packet(tmp_path: Path) -> None:
+    path = tmp_path / "log.kismet"
+    with sqlite3.connect(path) as database:
+        database.execute(
+            "create table packets (ts_sec int, ts_usec int, sourcemac text, frequency real, signal int)"
+        )
+        insert = "insert into packets values (1700000000, 250000, 'AA', 2437000, ?)"
+        database.execute(insert, (-50,))
+        database.commit()
+        async with receiving(port=f"kismetdb:{path}", map="kismet") as seen:
+            for signal in (-61, 0):  # 0: this interface tells no strength
+                database.execute(insert, (signal,))
+            database.commit()
+            await seen.until(lambda s: len(s.readings) == 1)
+    database.close()
+    assert (seen.readings[0].rss_dbm, seen.readings[0].channel) == (-61.0, 6)
+    (tmp_path / "text").write_text("no database")
+    with pytest.raises(DeviceError, match="not a kismetdb"):
+        async with receiving(port=f"kismetdb:{tmp_path / 'text'}", map="kismet"):
+            pass
+
+
+# -- silence ---------------------------------------------------------------------------------------------------
+
+
+async def test_silence_is_known_to_be_silence_only_while_lines_come(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.touch()
+    async with receiving(port=str(log), map="json", heard="rss_dbm", heartbeat_s=0.3) as seen:
+        await seen.until(lambda s: not s.is_up)
+        assert "no line for" in seen.states[-1].reason
+        with log.open("ab") as file:
+            file.write(b'{"rss_dbm": null}\n')
+        await seen.until(lambda s: s.is_up)
+        assert not seen.readings
+
+
+async def test_lines_that_make_no_sense_count_as_deafness_and_are_shown(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.touch()
+    async with receiving(port=str(log), map="json") as seen:
+        with log.open("ab") as file:
+            file.write(b'{"rss_dbm": 71}\n' * SENSELESS)
+        await seen.until(lambda s: not s.is_up)
+        reason = seen.states[-1].reason
+        assert (
+            "its lines are no readings" in reason and "rss_dbm" in reason and 'is the unit "-dBm"' in reason
+        )
+        with log.open("ab") as file:
+            file.write(GOOD)
+        await seen.until(lambda s: s.is_up and len(s.readings) == 1)
+
+
+async def test_a_radios_own_clock_may_be_years_off(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.touch()
+    now_ns = RealClock().now_ns()
+    async with receiving(port=str(log), map="json", time="t") as seen:
+        for at_s in (1.25, 1.75, 900_000_000.5, 900_000_000.625):
+            with log.open("ab") as file:
+                file.write(json.dumps({"rss_dbm": -70, "t": at_s}).encode() + b"\n")
+            await asyncio.sleep(0.1)
+        await seen.until(lambda s: len(s.readings) == 4)
+    stamps = [reading.t_ns for reading in seen.readings]
+    assert stamps == sorted(stamps)
+    assert all(0 <= stamp - now_ns < 5_000_000_000 for stamp in stamps)
+
+
+async def test_only_what_is_asked_for_is_a_reading(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.touch()
+    async with receiving(port=str(log), map="json", only="b", only_channel=6) as seen:
+        with log.open("ab") as file:
+            for source, channel in (("a", 6), ("b", 1), ("b", 6)):
+                row = {"rss_dbm": -70, "source_id": source, "channel": channel}
+                file.write(json.dumps(row).encode() + b"\n")
+        await seen.until(lambda s: len(s.readings) == 1)
+    assert (seen.readings[0].frame_id, seen.readings[0].channel) == ("b", 6)
+
+
+async def test_packets_with_a_number_are_told_apart_and_joined(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.touch()
+    async with receiving(port=str(log), map="meshtastic") as seen:
+        with log.open("ab") as file:
+            file.write(MAPS["meshtastic"].example.encode() + b"\n")
+        await seen.until(lambda s: len(s.readings) == 1)
+    assert seen.readings[0].frame_id == f"!7efeee00/{447103 & 255:02x}"
+
+
+async def test_four_thousand_lines_a_second_are_all_taken(tmp_path: Path) -> None:
+    """Every line that is printed, however fast; the rate itself is measured by the benchmark."""
+    radio = PluggedModule(PrintingRadio(lambda: 0, "rylr"), PtyWire(tmp_path / "radio"))
+    await radio.plug()
+    try:
+        async with receiving(port=radio.wire.port, map="rylr") as seen:
+            for number in range(4_000):
+                while not radio.hear(-60.0 - number % 30, number, b""):  # noqa: ASYNC110
+                    await asyncio.sleep(0.001)
+                if number % 50 == 0:
+                    await asyncio.sleep(0.002)
+            await seen.until(lambda s: len(s.readings) == 4_000)
+    finally:
+        radio.unplug()
+    assert all(state.up for state in seen.states)
