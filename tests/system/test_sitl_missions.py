@@ -31,6 +31,7 @@ pytestmark = pytest.mark.timeout(1500)
 
 SIZE_M = 60.0
 LIMIT_M_S = 1.5
+WITHIN_M = 3.0
 ANTENNA = Antenna(path_loss_exponent=2.5, power_at_1m_dbm=-50.0, sigma_db=3.0, threshold_dbm=-85.0)
 HIDDEN_M = ((14.0, 44.0), (45.0, 38.0), (31.0, 18.0))
 MISSION = """\
@@ -92,7 +93,7 @@ def mission_file(folder: Path, kinds: Sequence[str], port: int, copy: int, overr
             radio=free_udp_port(),
             port=port,
             copy=copy,
-            flies=f"altitude_m = {3.0 * (k - 2):.1f}\n" if kind == "copter" else "",
+            flies=f"altitude_m = {7.0 + 3.0 * (k - 2):.1f}\n" if kind == "copter" else "",
         )
         for k, kind in enumerate(kinds, start=1)
     )
@@ -185,7 +186,7 @@ def recording_in(folder: Path) -> Path:
     return log
 
 
-def judge(result: dict[str, Any], recording: Recording, name: str, within_m: float = 3.0) -> None:
+def judge(result: dict[str, Any], recording: Recording, name: str) -> None:
     """What holds of every mission; its numbers go to FIELDKIT_SITL_REPORT."""
     events = [step.event for step in recording.steps()]
     poses = [event for event in events if isinstance(event, Pose)]
@@ -194,8 +195,10 @@ def judge(result: dict[str, Any], recording: Recording, name: str, within_m: flo
     out_m = max(max(-p.east_m, p.east_m - SIZE_M, -p.north_m, p.north_m - SIZE_M, 0.0) for p in poses)
     withdrawn = [(e.robot, e.reason) for e in events if isinstance(e, Operator) and e.action == "withdraw"]
     finds = [source for source in result["sources"] if source["state"] == "found"]
+    # Each hidden one has a find of its own: two finds of one source would else pass for two sources.
     errors = [
-        min(math.dist((source["east_m"], source["north_m"]), place) for place in HIDDEN_M) for source in finds
+        min((math.dist((s["east_m"], s["north_m"]), place) for s in finds), default=math.inf)
+        for place in HIDDEN_M
     ]
     measured = {
         "ended": result["end_reason"], "found": len(finds), "errors_m": errors, "found_at_s": result["found_at_s"],
@@ -207,10 +210,9 @@ def judge(result: dict[str, Any], recording: Recording, name: str, within_m: flo
             file.write(json.dumps({"mission": name} | measured) + "\n")
     assert not withdrawn, measured
     assert len(finds) == len(HIDDEN_M), measured
-    assert max(errors) < within_m, measured
+    assert max(errors) < WITHIN_M, measured
     assert out_m == 0.0, measured
-    # A car's speed controller overshoots; what it was told is the limit.
-    assert max(speeds) < 1.35 * LIMIT_M_S, measured
+    assert max(speeds) <= 1.02 * LIMIT_M_S, measured
 
 
 async def test_four_rovers_find_what_is_hidden(tmp_path: Path) -> None:
@@ -220,8 +222,7 @@ async def test_four_rovers_find_what_is_hidden(tmp_path: Path) -> None:
 
 async def test_two_rovers_and_two_copters_find_what_is_hidden(tmp_path: Path) -> None:
     result, recording = await fly(tmp_path, ["rover", "rover", "copter", "copter"])
-    # Radios hear in space, the belief measures ranges in the plane: from 3 and 6 m up that is metres.
-    judge(result, recording, "two rovers and two copters", within_m=6.0)
+    judge(result, recording, "two rovers and two copters")
     heights = {robot: [] for robot in ("r3", "r4")}  # type: dict[str, list[float]]
     for step in recording.steps():
         if isinstance(step.event, Pose) and step.event.robot in heights:
