@@ -4,18 +4,19 @@ Streams, texts, parameters, plans, arming and its checks. What moves, and which 
 `copter`. Answers, refusals and silences are those measured on ArduRover and ArduCopter 4.7 in simulation.
 """
 
+import abc
 import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from drivers.emulators.bodies import Car, Copter
 from drivers.emulators.plans import PlanStore
 from drivers.emulators.profiles import ROVER, Profile, px4_mode
 from drivers.emulators.telemetry import DEFAULT_HZ, STREAMS, Telemetry, Trouble
 from drivers.mavlink.codec import Message, Packer, Parser, mavlink
 from drivers.mavlink.signing import Signer
 from fieldkit.geo import FieldFrame
+from fieldkit.world.bodies import Car, Copter
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 FENCE_TYPE_POLYGON = 4
@@ -82,18 +83,18 @@ class Autopilot(Telemetry):
     # For the kinds of vehicles to fill in
 
     @property
+    @abc.abstractmethod
     def own_speed_m_s(self) -> float:
         """What it goes at where nobody tells it."""
-        raise NotImplementedError
 
-    def _move(self, t_s: float) -> None:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def _move(self, t_s: float) -> None: ...
 
-    def _reposition(self, message: Message) -> int:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def _reposition(self, message: Message) -> int: ...
 
-    def _change_speed(self, speed_m_s: float) -> int:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def _change_speed(self, speed_m_s: float) -> int: ...
 
     def _take_off(self, up_m: float) -> int:
         return UNSUPPORTED
@@ -101,11 +102,11 @@ class Autopilot(Telemetry):
     def _position_target(self, message: Message) -> None:
         """Nothing, without a word."""
 
-    def _gcs_failsafe(self) -> None:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def _gcs_failsafe(self) -> None: ...
 
-    def _low_battery(self) -> None:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def _low_battery(self) -> None: ...
 
     # Outside
 

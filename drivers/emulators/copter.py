@@ -6,9 +6,9 @@ its fence is FAILED.
 """
 
 from drivers.emulators.autopilot import ACCEPTED, DENIED, FAILED, Autopilot
-from drivers.emulators.bodies import Copter
 from drivers.emulators.fence import edge_ahead_m
 from drivers.mavlink.codec import Message, mavlink
+from fieldkit.world.bodies import Copter
 
 STEP_S = 0.1
 DISARM_S = 10.0

@@ -22,7 +22,6 @@ from typing import Any, Self
 import numpy as np
 
 from drivers.emulators.autopilot import Autopilot
-from drivers.emulators.bodies import Car, Copter, car_for
 from drivers.emulators.faults import FAULTS
 from drivers.emulators.profiles import COPTER
 from drivers.emulators.profiles import PROFILES as FIRMWARES
@@ -34,6 +33,7 @@ from fieldkit.channel.model import Antenna
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError
 from fieldkit.geo import FieldFrame
+from fieldkit.world.bodies import Car, Copter, car_for
 from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.sources import TransientSource, Transmissions
 

@@ -13,12 +13,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from drivers.emulators.bodies import car_for
 from drivers.emulators.rover import GUIDED, HOLD, MANUAL, RoverAutopilot
 from drivers.mavlink.codec import Packer, mavlink
 from drivers.mavlink.signing import Signer
 from fieldkit.clock import Clock
 from fieldkit.geo import FieldFrame
+from fieldkit.world.bodies import car_for
 
 STEP_S = 0.1
 CAPTURED = 200

@@ -15,12 +15,12 @@ from drivers.emulators.autopilot import (
     FAILED,
     Autopilot,
 )
-from drivers.emulators.bodies import Copter
 from drivers.emulators.copter import CopterAutopilot
 from drivers.emulators.fence import edge_ahead_m
 from drivers.emulators.profiles import COPTER, ROVER, Profile
 from drivers.mavlink.codec import Message
 from fieldkit.geo import FieldFrame
+from fieldkit.world.bodies import Copter
 
 MANUAL, HOLD, RTL, GUIDED = ROVER.manual, ROVER.hold, ROVER.home[0], ROVER.guided
 """ArduRover's, which is what is emulated unless a profile says otherwise."""

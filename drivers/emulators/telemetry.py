@@ -1,15 +1,16 @@
 """What an emulated autopilot says of itself, message by message."""
 
+import abc
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.emulators.bodies import Car, Copter
 from drivers.emulators.profiles import Profile
 from drivers.mavlink.codec import Message, mavlink
 from fieldkit.geo import FieldFrame
+from fieldkit.world.bodies import Car, Copter
 
 PRESENT = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -48,7 +49,7 @@ class Trouble:
     """Its voltage, where that says something else than its charge does."""
 
 
-class Telemetry:
+class Telemetry(abc.ABC):
     """The messages of one autopilot, from what it is and does."""
 
     body: Car | Copter
@@ -65,14 +66,14 @@ class Telemetry:
     _target: tuple[int, int]
 
     @property
-    def battery_v(self) -> float:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def battery_v(self) -> float: ...
 
-    def _why_not_to_arm(self) -> str:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def _why_not_to_arm(self) -> str: ...
 
-    def _fence_polygon(self) -> list[Message]:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def _fence_polygon(self) -> list[Message]: ...
 
     def _boot_ms(self, t_s: float) -> int:
         return max(0, round((t_s - self.boot_s) * 1e3))

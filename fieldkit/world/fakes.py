@@ -14,7 +14,7 @@ from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError, DeviceTimeout, VehicleRefused
 from fieldkit.messages import Pose, ReceiverState, RssReading, VehicleMode, VehicleState, Waypoint
 from fieldkit.ports import Demands, StoredFence, Traits
-from fieldkit.world.rover import Rover
+from fieldkit.world.bodies import Rover
 
 Item = TypeVar("Item")
 STEP_S = 0.1

@@ -23,8 +23,8 @@ from fieldkit.messages import (
     Tick,
     VehicleState,
 )
+from fieldkit.world.bodies import Rover
 from fieldkit.world.channel import sample_rss_dbm
-from fieldkit.world.rover import Rover
 from fieldkit.world.shadowing import ShadowField
 from fieldkit.world.sources import TransientSource, Transmissions
 from mission.core.kernel import Kernel, Outcome

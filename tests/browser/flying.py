@@ -15,8 +15,8 @@ import pytest
 from fieldkit.clock import ScaledClock, wall_sleep
 from fieldkit.messages import Event, Operator
 from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.bodies import Rover
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
-from fieldkit.world.rover import Rover
 from mission.lab.synthetic import small_mission
 from mission.page import serve
 from mission.page.server import Page

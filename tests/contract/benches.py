@@ -16,7 +16,6 @@ import numpy as np
 
 from drivers.camera.source import open_camera
 from drivers.emulators.autopilot import Autopilot
-from drivers.emulators.bodies import Car
 from drivers.emulators.camera import PictureServer, Scene, Shown, still, write_calibration
 from drivers.emulators.capture import PipeSniffer
 from drivers.emulators.printer import PrintingRadio
@@ -35,6 +34,7 @@ from fieldkit.clock import Clock, RealClock, ScaledClock
 from fieldkit.geo import FieldFrame
 from fieldkit.ports import DriverContext, ReceiverFactory
 from fieldkit.testing import PositionSourceBench, ReceiverBench, VehicleLinkBench
+from fieldkit.world.bodies import Car
 
 FRAME = FieldFrame(47.3977, 8.5456, 400.0)
 

@@ -11,8 +11,8 @@ from fieldkit.recording.player import PlayedPositions, PlayedReceiver
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.testing import PositionSourceBench, ReceiverBench, VehicleLinkBench
+from fieldkit.world.bodies import Rover
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
-from fieldkit.world.rover import Rover
 
 
 @asynccontextmanager

@@ -7,7 +7,6 @@ import pytest
 from benches import FRAME, around, free_udp_port, rovers_on_udp
 from scenarios import SCENARIOS, Drive, driving
 
-from drivers.emulators.bodies import Car, Copter
 from drivers.emulators.fence import edge_ahead_m
 from drivers.emulators.profiles import COPTER, PROFILES, ROVER, Profile
 from drivers.emulators.rover import make_autopilot
@@ -15,6 +14,7 @@ from drivers.mavlink.codec import Packer, Parser, mavlink
 from drivers.mavlink.fleet import open_link
 from drivers.mavlink.plans import polygon_fence
 from fieldkit.clock import ScaledClock
+from fieldkit.world.bodies import Car, Copter
 
 Scenario = Callable[[Drive], Awaitable[None]]
 SQUARE_M = [(-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0)]

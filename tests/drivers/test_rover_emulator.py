@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from benches import FRAME
 
-from drivers.emulators.bodies import Car, car_for, car_sized
 from drivers.emulators.rover import GUIDED, HOLD, POSITION_ONLY, RTL, RoverAutopilot
 from drivers.mavlink.codec import Packer, Parser, mavlink
+from fieldkit.world.bodies import Car, car_for, car_sized
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 

@@ -8,11 +8,11 @@ import tty
 import numpy as np
 from benches import FRAME, around, until
 
-from drivers.emulators.bodies import Car
 from drivers.emulators.rover import RoverAutopilot
 from drivers.mavlink.fleet import open_link
 from fieldkit.clock import ScaledClock
 from fieldkit.testing import nothing_left
+from fieldkit.world.bodies import Car
 
 
 def autopilot():

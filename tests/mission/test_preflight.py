@@ -14,8 +14,8 @@ from fieldkit.errors import DeviceError, VehicleRefused
 from fieldkit.messages import GoTo, Pose
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.bodies import Rover
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
-from fieldkit.world.rover import Rover
 from fieldkit.world.sources import TransientSource
 from mission.lab.synthetic import ANTENNA, small_mission
 from mission.shell import setups

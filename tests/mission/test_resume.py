@@ -13,8 +13,8 @@ from fieldkit.errors import RecordingError
 from fieldkit.messages import GoTo, Operator, ReceiverState
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.bodies import Rover
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
-from fieldkit.world.rover import Rover
 from mission.core.mission_file import Mission
 from mission.lab.synthetic import small_mission
 from mission.replay.replay import replay, resumable

@@ -14,8 +14,8 @@ from fieldkit.jumploop import LoopClock
 from fieldkit.messages import GoTo, Hold, Operator, Pose, Tick, Waypoint
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.bodies import Rover
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
-from fieldkit.world.rover import Rover
 from mission.lab.synthetic import small_mission
 from mission.replay.replay import replay
 from mission.shell.runner import Progress, Runner

@@ -12,8 +12,8 @@ from fieldkit.jumploop import LoopClock
 from fieldkit.ports import StoredFence
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.bodies import Rover
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
-from fieldkit.world.rover import Rover
 from mission.core.mission_file import Mission, read_mission
 from mission.lab.synthetic import small_mission
 from mission.shell.preflight import preflight

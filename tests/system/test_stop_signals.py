@@ -22,7 +22,7 @@ from fieldkit.clock import RealClock
 from fieldkit.errors import DeviceTimeout
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
-from fieldkit.world.rover import Rover
+from fieldkit.world.bodies import Rover
 from mission.lab.synthetic import small_mission
 from mission.shell.runner import Runner
 from mission.shell.setups import Setup, start_places
