@@ -59,6 +59,18 @@ WINDOW_S = positive(0.1, 60.0, "s", "receptions nearer than this are one transmi
 LATENESS_S = positive(1.0, 600.0, "s", "how late a reception may reach this computer")
 POSE_GAP_S = positive(1.0, 600.0, "s", "longest gap between positions that is interpolated")
 
+# -- the loop ------------------------------------------------------------------------------------------------
+
+TICK_S = 0.5
+"""Time between the kernel's regular looks, in a running mission and in one rebuilt from radios' own logs."""
+REPEAT_S = 3.0
+"""An order that a vehicle has not shown to follow is given again after this long."""
+
+# -- what is drawn -------------------------------------------------------------------------------------------
+
+ELLIPSE_90 = 2.146
+"""Standard deviations around the middle of a plane normal that hold 90 % of it: sqrt(-2 ln 0.1)."""
+
 # -- the end -------------------------------------------------------------------------------------------------
 
 MAX_DURATION_S = positive(3_600.0, 30 * 86_400.0, "s", "longest duration of a mission")

@@ -29,6 +29,7 @@ from drivers.emulators.rover import make_autopilot
 from drivers.emulators.wires import PluggedModule, make_wire
 from drivers.emulators.xbee import PROFILES, Module
 from drivers.links import host_and_port
+from fieldkit import settings as given
 from fieldkit.channel.model import Antenna
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError
@@ -72,7 +73,7 @@ class FieldSpec:
     """host:port to which the rovers send."""
     seed: int
     pose_noise_m: float = 0.0
-    max_speed_m_s: float = 0.4
+    max_speed_m_s: float = given.MAX_SPEED_M_S.default
     xbee_profile: str = "s2c"
     gcs_failsafe_s: float | None = None
     """Age of the ground station's heartbeat at which rovers hold; None: 6.5 s, or a wall second if longer."""

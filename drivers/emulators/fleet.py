@@ -16,6 +16,7 @@ import numpy as np
 from drivers.emulators.rover import GUIDED, HOLD, MANUAL, RoverAutopilot
 from drivers.mavlink.codec import Packer, mavlink
 from drivers.mavlink.signing import Signer
+from fieldkit import settings as given
 from fieldkit.clock import Clock
 from fieldkit.geo import FieldFrame
 from fieldkit.world.bodies import car_for
@@ -61,7 +62,7 @@ class FleetSpec:
     address: tuple[str, int]
     """Where telemetry goes."""
     seed: int
-    max_speed_m_s: float = 0.4
+    max_speed_m_s: float = given.MAX_SPEED_M_S.default
     pose_noise_m: float = 0.02
     signing_key: bytes | None = None
 

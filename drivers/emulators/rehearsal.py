@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from drivers.emulators.field import ROBOT_ADDRESS, SOURCE_ADDRESS
+from drivers.emulators.field import ROBOT_ADDRESS, SOURCE_ADDRESS, STEP_S
 from drivers.emulators.wires import PluggedModule, PtyWire, TcpWire, Wire
 from drivers.emulators.xbee import PROFILES, Module
 from drivers.links import host_and_port
 from drivers.mavlink.codec import AUTOPILOT, Message, Parser
 from drivers.mavlink.modes import flies
-from drivers.mavlink.transport import Peer, make_transport
+from drivers.mavlink.transport import MAX_PEERS, Peer, make_transport
 from fieldkit.channel.antenna_file import read_antenna, with_pattern
 from fieldkit.channel.model import Antenna
 from fieldkit.clock import Clock
@@ -31,8 +31,6 @@ from fieldkit.world.sources import TransientSource, Transmissions, random_source
 
 STALE_S = 2.0
 """A robot whose place is older hears nothing: nobody knows where it is."""
-STEP_S = 0.05
-MAX_PEERS = 64
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from drivers.mavlink.signing import Signer, read_key
 from drivers.mavlink.steered import Steered, reposition
 from drivers.mavlink.talks import Talks
 from drivers.mavlink.tapped import TappedTransport
-from drivers.mavlink.transport import Copy, Peer, make_transport
+from drivers.mavlink.transport import MAX_PEERS, Copy, Peer, make_transport
 from drivers.mavlink.vehicle import Vehicle
 from drivers.options import checked
 from fieldkit.checks import Check
@@ -37,8 +37,6 @@ logger = logging.getLogger(__name__)
 
 SYSTEM_ID = 245
 """Our own system id. Not 255: that is QGroundControl's, and a second 255 masks the vehicles' failsafe."""
-MAX_PEERS = 64
-"""Addresses remembered per link; forged ones must not fill the memory."""
 HOUSEKEEPING_S = 0.5
 POSITION_STALE_S = 2.0
 ASK_TIME_EVERY_NS = 5_000_000_000

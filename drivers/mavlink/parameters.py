@@ -4,12 +4,11 @@ import struct
 from collections.abc import Callable, Sequence
 
 from drivers.mavlink.codec import AUTOPILOT, Message, mavlink
+from drivers.mavlink.commands import TRIES, WAIT_S
 from drivers.mavlink.modes import PX4, Firmware
 from drivers.mavlink.plans import Inbox
 from fieldkit.clock import Clock
 
-TRIES = 10
-WAIT_S = 0.5
 _INTEGERS = {
     mavlink.MAV_PARAM_TYPE_INT8: "b",
     mavlink.MAV_PARAM_TYPE_UINT8: "B",

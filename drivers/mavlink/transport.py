@@ -20,6 +20,8 @@ logger = logging.getLogger(__name__)
 Peer = Any
 """Whom bytes come from or go to: hashable; a socket address, a port's name."""
 OnData = Callable[[bytes, Peer], None]
+MAX_PEERS = 64
+"""Addresses remembered per link; forged ones must not fill the memory."""
 RECONNECT_EVERY_S = 1.0
 """Wall time between attempts to take a lost TCP or serial link back."""
 SEND_BUFFER = 65536

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from fieldkit import settings as given
+
 if TYPE_CHECKING:
     from drivers.positions.survey import Result
 
@@ -47,10 +49,14 @@ def survey(
     ] = None,
     found_probability: Annotated[
         float, typer.Option(min=0.01, max=0.999, help="With this probability.")
-    ] = 0.9,
-    rate_hz: Annotated[float, typer.Option(min=1e-6, help="How often a typical source sends.")] = 0.05,
+    ] = given.FOUND_PROBABILITY.default,
+    rate_hz: Annotated[
+        float, typer.Option(min=1e-6, help="How often a typical source sends.")
+    ] = given.RATE_HZ.default,
     expected: Annotated[float, typer.Option(min=0.01, help="Sources expected beforehand.")] = 1.0,
-    window_s: Annotated[float, typer.Option(min=0.001, help="Receptions this close are one packet.")] = 0.1,
+    window_s: Annotated[
+        float, typer.Option(min=0.001, help="Receptions this close are one packet.")
+    ] = given.WINDOW_S.default,
     max_gap_s: Annotated[float, typer.Option(min=0.1, help="Longest gap between positions.")] = 5.0,
     shift_s: Annotated[float, typer.Option(help="Added to the readings' times.")] = 0.0,
     geojson: Annotated[Path | None, typer.Option(help="Write candidates and path to this file.")] = None,

@@ -23,6 +23,7 @@ FROZEN_S = 60.0
 FROZEN_FIXES = 12
 DEGREE_M = 111_195.0
 NAMED = 3
+"""So many rejected rows or spots are named; the others are counted."""
 
 
 def looked_at(track: Track) -> Track:

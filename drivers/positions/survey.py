@@ -11,6 +11,7 @@ from drivers.positions.readings import Heard
 from drivers.positions.sanity import looked_at
 from drivers.positions.source import poses_of
 from drivers.positions.tracks import Track
+from fieldkit import settings as given
 from fieldkit.channel.antenna_file import Receiver
 from fieldkit.channel.model import Antenna
 from fieldkit.channel.spread import ChannelSpread, assumed
@@ -37,9 +38,9 @@ class Settings:
     """Of the regions' outlines; None: as fine as the posterior needs."""
     power_levels_db: tuple[float, ...] = ()
     """Powers above the calibrated transmitter's, where they are known; empty: unknown."""
-    rate_hz: float = 0.05
+    rate_hz: float = given.RATE_HZ.default
     expected: float = 1.0
-    window_s: float = 0.1
+    window_s: float = given.WINDOW_S.default
     max_gap_s: float = 5.0
     """Between positions further apart in time than this nobody knows where the radio was."""
     shift_s: float = 0.0
@@ -57,7 +58,7 @@ class Settings:
     identity: bool = False
     """Whether each name in `frame_id` is one source."""
     found_within_m: float | None = None
-    found_probability: float = 0.9
+    found_probability: float = given.FOUND_PROBABILITY.default
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drivers.links import READ_TIMEOUT_S
 from drivers.options import checked
 from drivers.reconnecting import KeptReceiver
 from drivers.sniffers.capture import CaptureError, CaptureReader, Packet
@@ -30,7 +31,6 @@ from fieldkit.ports import DriverContext
 
 logger = logging.getLogger(__name__)
 
-READ_TIMEOUT_S = 0.1
 FIRST_WAIT_S = 5.0
 AGAIN_WAIT_S = 0.3
 """Wall time in which a pipe must show its first bytes, at first and when it is opened again."""

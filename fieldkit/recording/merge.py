@@ -20,8 +20,8 @@ from fieldkit.recording.offsets import Offset, estimate_offset
 from fieldkit.recording.reader import Recording, open_recording
 from fieldkit.recording.rewrite import verify
 from fieldkit.recording.writer import RecordingWriter
+from fieldkit.settings import TICK_S
 
-TICK_S = 0.5
 SAME_FIELD = ("origin_lat_deg", "origin_lon_deg", "size_east_m", "size_north_m")
 AROUND_NS = 60_000_000_000
 """Positions so long before and after the recordings still count."""

@@ -11,12 +11,11 @@ import numpy as np
 
 from fieldkit.extras import need
 from fieldkit.geo import FieldFrame
+from fieldkit.settings import ELLIPSE_90
 
 Tables = Mapping[str, np.ndarray]
 MASS = 0.99
 """Of the belief, the fewest cells that hold this share of all its probability are drawn."""
-ELLIPSE_90 = 2.146
-"""Standard deviations around the middle of a plane normal that hold 90 % of it."""
 _GPX = "http://www.topografix.com/GPX/1/1"
 
 

@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from fieldkit.messages import SourceEstimate
+from fieldkit.settings import ELLIPSE_90
 from mission.analysis.coverage import SEARCHED, Coverage
 from mission.analysis.history import History
-from mission.analysis.refine import ELLIPSE_90, Fit, Refined
+from mission.analysis.refine import Fit, Refined
 from mission.analysis.use import Stretch, kind
 
 ROBOT_COLOURS = ("#0072b2", "#56b4e9", "#009e73", "#66c2a5", "#cc79a7", "#e7a6c9", "#8c6d31", "#bd9e39")

@@ -27,8 +27,6 @@ CLUTTER = 0.02
 """Share of transmissions taken to be from no known source."""
 STEP_M, STEP_DB = 0.02, 0.05
 """For the curvature: small against any useful accuracy, large against rounding."""
-ELLIPSE_90 = 2.146
-"""Standard deviations around the middle of a plane normal that hold 90 % of it."""
 
 
 _SIMPLEX = np.vstack([np.zeros(3), np.diag([0.2, 0.2, 1.0])])

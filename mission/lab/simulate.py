@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fieldkit import settings as given
 from fieldkit.channel.model import Antenna
 from fieldkit.messages import (
     Command,
@@ -45,7 +46,7 @@ class Truth:
     pose_sigma_m: float = 0.03
     pose_bias_m: float = 0.0
     """Each robot's position is off by this much in a direction of its own."""
-    max_speed_m_s: float = 0.4
+    max_speed_m_s: float = given.MAX_SPEED_M_S.default
     shadow: tuple[ShadowField, ...] = ()
     """Of each source the shadowing that belongs to places; empty: none."""
     offset_db: tuple[float, ...] = ()

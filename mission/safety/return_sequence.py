@@ -14,13 +14,13 @@ from fieldkit.geometry.polygons import KeepOut
 from fieldkit.geometry.routes import route
 from fieldkit.geometry.segments import Place, Segment, ever_m, standing
 from fieldkit.messages import CallOperator, Command, GoTo, Hold, Land, Return, Waypoint
+from fieldkit.settings import REPEAT_S
 from mission.safety.limits import SafetySettings
 from mission.safety.monitor import LONG_AGO_NS, SLOW_M_S, Watched
 from mission.safety.separation import are_layered
 
 SLOWEST_M_S = 0.1
 """The least speed a robot on its way home is taken to make."""
-REPEAT_S = 3.0
 SLACK_S = 60.0
 CORNER_M = 0.5
 """A corner of the path home counts as passed this near to it, where the way on from there is open."""

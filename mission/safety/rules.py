@@ -42,15 +42,13 @@ from fieldkit.messages import (
     VehicleState,
     Waypoint,
 )
+from fieldkit.settings import REPEAT_S
 from mission.safety.limits import SafetySettings
 from mission.safety.monitor import ACQUIRE_S, Trouble, Watched, not_ready, trouble_of
 from mission.safety.return_sequence import ReturnSequence
 from mission.safety.separation import Occupancy, conflict, mark_too_near, occupancies
 
 __all__ = ["Safety", "SafetySettings"]
-
-REPEAT_S = 3.0
-"""A hold that has not been confirmed is repeated this often."""
 
 
 @dataclass

@@ -32,6 +32,7 @@ from fieldkit.messages import (
 )
 from fieldkit.recording.reader import Step
 from fieldkit.recording.writer import RecordingWriter
+from fieldkit.settings import TICK_S
 from mission.core.kernel import Kernel, Outcome, state_digest
 from mission.core.mission_file import Mission
 from mission.safety.rules import Safety
@@ -42,7 +43,7 @@ from mission.shell.recorder import Follower, Look, MissionRecorder
 from mission.shell.setups import Setup
 from mission.shell.signals import StopSignals
 from mission.shell.start import Start
-from mission.shell.ticks import TICK_S, Ticks
+from mission.shell.ticks import Ticks
 from mission.shell.vehicle_fences import VehicleFences
 
 logger = logging.getLogger(__name__)

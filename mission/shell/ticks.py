@@ -8,7 +8,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-TICK_S = 0.5
+from fieldkit.settings import TICK_S
+
 DUE_SLACK_S = 0.002
 """Receptions this near to each other are looked at together."""
 
