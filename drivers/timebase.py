@@ -16,6 +16,8 @@ DOUBT_NS = 1_000_000_000
 """So much later than the best of the last minute, time after time, and the clock is in doubt."""
 INCONSISTENT = 5
 """Messages in a row that must be late by so much."""
+CLOCK_JUMP_NS = 5_000_000_000
+"""A device's clock and ours may not part further than this between two messages: else it was set, or started anew."""
 
 
 class TimeBase:

@@ -17,7 +17,7 @@ from drivers.lines.sources import open_source
 from drivers.links import ByteLink, arrival_ns
 from drivers.options import checked
 from drivers.reconnecting import KeptReceiver
-from drivers.timebase import TimeBase
+from drivers.timebase import CLOCK_JUMP_NS, TimeBase
 from fieldkit.errors import ConfigError
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
@@ -27,8 +27,6 @@ SENSELESS = 5
 """So many lines in a row that are no readings, and the receiver counts as down until one is."""
 SHOWN = 80
 """Of a line that makes no sense so much is shown."""
-CLOCK_JUMP_NS = 5_000_000_000
-"""The radio's clock and ours may not part further than this between two lines: else it was set, or started anew."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from drivers.positions.table import NAMED
 from drivers.positions.tracks import Spot, Track
 from fieldkit.errors import DataError
 from fieldkit.messages import FloatArray
@@ -22,8 +23,6 @@ JUMP_STEPS = 60.0
 FROZEN_S = 60.0
 FROZEN_FIXES = 12
 DEGREE_M = 111_195.0
-NAMED = 3
-"""So many rejected rows or spots are named; the others are counted."""
 
 
 def looked_at(track: Track) -> Track:

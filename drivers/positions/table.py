@@ -20,7 +20,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from drivers.positions.sanity import NAMED
 from fieldkit.errors import DataError
 
 _ALIASES = {
@@ -41,6 +40,8 @@ _ALIASES = {
 }
 _DAY_NS = 86_400_000_000_000
 _HOUR = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d*)?)")
+NAMED = 3
+"""So many rejected rows or spots are named; the others are counted."""
 
 
 @dataclass

@@ -17,7 +17,7 @@ from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.nrf import NrfText
 from drivers.sniffers.protocol import CHANNELS, Captured, SnifferProtocol
 from drivers.sniffers.ti import TiBinary
-from drivers.timebase import TimeBase
+from drivers.timebase import CLOCK_JUMP_NS, TimeBase
 from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
@@ -33,8 +33,6 @@ ASK_AGAIN_S = 30.0
 
 Starting takes 0.1 s, in which it hears nothing.
 """
-CLOCK_JUMP_NS = 5_000_000_000
-"""The dongle's clock and ours may not part further than this between two frames: else it has restarted."""
 
 
 @dataclass(frozen=True, slots=True)
