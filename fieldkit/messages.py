@@ -185,7 +185,8 @@ class Detection:
 
     `robots` (m,) are those that were listening with a known pose; `position_m` is (m, 2) east, north;
     `heading_deg` is (m,); `rss_dbm` is (m,) with nan where the robot listened and heard nothing.
-    `saturated` (m,) marks readings at the receiver's ceiling.
+    `saturated` (m,) marks readings at the receiver's ceiling. `up_m` (m,) is how high each was above the field's
+    origin and `sigma_m` (m,) how far its position may be off; both empty where nobody says.
     Robots that were not listening (radio down, pose stale) are absent, not silent.
     """
 
@@ -195,6 +196,8 @@ class Detection:
     heading_deg: FloatArray
     rss_dbm: FloatArray
     saturated: NDArray[np.bool_]
+    up_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    sigma_m: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
     def heard(self) -> NDArray[np.bool_]:
@@ -204,12 +207,18 @@ class Detection:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Listening:
-    """Who listened where, for how long: what makes silence evidence. `position_m` is (m, 2) east, north."""
+    """Who listened where, for how long: what makes silence evidence. `position_m` is (m, 2) east, north.
+
+    `up_m`, `heading_deg` and `sigma_m` (m,) as in `Detection`, empty where nobody says.
+    """
 
     t0_ns: int
     t1_ns: int
     robots: tuple[str, ...]
     position_m: FloatArray
+    up_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    heading_deg: FloatArray = field(default_factory=lambda: np.empty(0))
+    sigma_m: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
     def duration_s(self) -> float:

@@ -38,7 +38,15 @@ COORDINATE_M = Quantity(0.0, -200_000.0, 200_000.0, "m", "coordinate of a corner
 
 POWER_DB = Quantity(0.0, -60.0, 60.0, "dB", "power of a transmitter relative to the calibrated one")
 RATE_HZ = positive(0.05, 1_000.0, "Hz", "transmissions of a typical source")
+SOURCE_UP_M = Quantity(0.0, -500.0, 9_000.0, "m", "height of transmitters above the field's origin")
 EXPECTED_SOURCES = positive(4.0, 10_000.0, "", "expected number of sources in the field")
+
+# -- receivers -----------------------------------------------------------------------------------------------
+
+RSS_OFFSET_DB = Quantity(
+    0.0, -60.0, 60.0, "dB", "how much more a robot's radio reports than the calibrated one"
+)
+THRESHOLD_DBM = Quantity(-92.0, -250.0, 50.0, "dBm", "strongest level a robot's radio does not receive")
 
 # -- the engine ----------------------------------------------------------------------------------------------
 

@@ -1,11 +1,13 @@
 """What the engine is told before a mission; checked once here, trusted inside."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
+from fieldkit.channel.antenna_file import Receiver
 from fieldkit.channel.model import Antenna
 from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.grid import Grid
@@ -51,7 +53,11 @@ class EngineSettings:
     """A source is found when it is this near to the estimate; None: within one cell, without place noise, else 2 m or
     a tenth of the typical range, at most a third of it."""
     pose_sigma_m: float = 0.05
-    """Standard deviation of each coordinate of the robots' positions."""
+    """Standard deviation of each coordinate of the robots' positions; a pose that says it is worse is believed."""
+    source_up_m: float = 0.0
+    """How high transmitters are above the field's origin."""
+    receivers: Mapping[str, Receiver] = field(default_factory=dict, hash=False)
+    """Robots whose radio is not like the calibrated one."""
     seed: int = 0
     prior_rule: str = "em"
     """SPOG only: literal, uniform, dirichlet or em (notes on PRWA eq 2)."""

@@ -78,6 +78,10 @@ class Fleet:
             if robot.pose is not None
         }
 
+    def heights_m(self) -> dict[str, float]:
+        """Robot to how high it is above the field's origin, of those that have been seen."""
+        return {name: robot.pose.up_m for name, robot in self.robots.items() if robot.pose is not None}
+
     def homes_m(self) -> dict[str, tuple[float, float]]:
         """Robot to where it was first seen."""
         return {name: robot.home_m for name, robot in self.robots.items() if robot.home_m is not None}

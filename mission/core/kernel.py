@@ -76,7 +76,9 @@ class Kernel:
             window_s=self.settings.association_window_s,
             lateness_s=self.settings.association_lateness_s,
             max_pose_gap_s=self.settings.max_pose_gap_s,
+            flying=self.settings.altitude_m,
         )
+        self._warned: set[str] = set()
         self.fleet = Fleet(self.settings)
         self.tasks = Tasks(self.settings, self.fleet)
         self.turns = PlanningTurns(engine)
@@ -103,7 +105,7 @@ class Kernel:
             case Pose():
                 self.associator.pose(event)
                 self.fleet.take_in(event)
-                outcome = NOTHING
+                outcome = self._height_missing(event.robot)
             case ReceiverState():
                 self.associator.receiver(event)
                 self.fleet.take_in(event)
@@ -283,6 +285,19 @@ class Kernel:
             return f"the probability that a source is left is {left:.3f}"
         return ""
 
+    def _height_missing(self, robot: str) -> Outcome:
+        """Said once of a robot that flies and whose positions tell no height."""
+        origin = self.associator.without_height.get(robot)
+        if origin is None or robot in self._warned:
+            return NOTHING
+        self._warned.add(robot)
+        return Outcome(
+            notes=(
+                f"{robot}: it flies, and its positions ({origin}) tell no height: what it hears is left out; "
+                "take positions that have one, such as the vehicle's own",
+            )
+        )
+
     def _end(self, now_ns: int, reason: str) -> Outcome:
         self.ended = True
         self.tasks.of.clear()
@@ -306,6 +321,7 @@ class Kernel:
             self.tasks.remaining(now_ns),
             range_m,
             self.fleet.homes_m(),
+            self.fleet.heights_m(),
             frozenset(self.removed),
         )
         plan = self.planner.plan(situation, self.belief)

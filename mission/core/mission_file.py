@@ -12,6 +12,7 @@ from fieldkit import plugins
 from fieldkit import settings as given
 from fieldkit.channel.antenna_file import (
     AntennaFile,
+    Receiver,
     predictive_sigma_db,
     read_antenna,
     spread_of,
@@ -76,7 +77,7 @@ def read_mission(path: Path | str) -> Mission:
     antenna = read_antenna(
         antenna_path,
         allow_refused=file.antenna.allow_refused,
-        allow_pattern=file.engine.sensing == "directional",
+        allow_pattern=file.engine.sensing == "directional" or file.engine.belief == "intensity",
     )
     return assemble(file, text, antenna, antenna_path.read_text(encoding="utf-8"), str(path))
 
@@ -175,6 +176,20 @@ def _check_names(file: MissionFile, where: str) -> None:
             raise ConfigError(f"{where}: {key}: expected one of {', '.join(known)}, got {name!r}")
 
 
+def _receivers(file: MissionFile, antenna: AntennaFile) -> dict[str, Receiver]:
+    """Each robot's own radio: as the mission file has it, else the antenna file; who is in neither is as calibrated."""
+    found = {}
+    for robot in file.robot:
+        radio = antenna.receivers.get(robot.name, Receiver())
+        if robot.rss_offset_db is not None:
+            radio = replace(radio, offset_db=robot.rss_offset_db)
+        if robot.threshold_dbm is not None:
+            radio = replace(radio, threshold_dbm=robot.threshold_dbm)
+        if radio != Receiver():
+            found[robot.name] = radio
+    return found
+
+
 def _spread(file: MissionFile, antenna: AntennaFile) -> ChannelSpread | None:
     """What readings of one place have in common: as measured, else as assumed, which preflight and `check` say.
 
@@ -239,7 +254,8 @@ def _engine(
     # The calibration's own uncertainty widens every reading; at the range where most readings are made.
     typical_m = float(np.median(antenna.antenna.nominal_range_m(np.array(file.sources.power_levels_db))))
     sigma_db = float(predictive_sigma_db(antenna, typical_m))
-    radio = with_pattern(antenna) if table.sensing == "directional" else antenna.antenna
+    directional = table.sensing == "directional" or (table.belief == "intensity" and antenna.pattern)
+    radio = with_pattern(antenna) if directional else antenna.antenna
     return EngineSettings(
         grid=Grid(field.size_east_m, field.size_north_m, field.cell_m),
         antenna=replace(radio, sigma_db=sigma_db),
@@ -257,6 +273,8 @@ def _engine(
         min_separation_m=safety.min_separation_m,
         fence_margin_m=safety.fence_margin_m,
         pose_sigma_m=table.pose_sigma_m,
+        source_up_m=file.sources.up_m,
+        receivers=_receivers(file, antenna),
         keep_out=safety.keep_out,
         seed=file.seed,
         prior_rule=table.prior_rule,

@@ -133,6 +133,7 @@ class SourcesTable(Table):
     )
     rate_hz: float = value(given.RATE_HZ)
     expected: float = value(given.EXPECTED_SOURCES)
+    up_m: float = value(given.SOURCE_UP_M)
 
 
 class EngineTable(Table):
@@ -244,6 +245,10 @@ class RobotTable(Table):
     """Whether it takes off: it gets a height of its own where `altitude_m` is not given."""
     altitude_m: Annotated[float, bounds(given.FLIGHT_ALTITUDE_M)] | None = None
     """Height above home at which it works; giving one means that it flies."""
+    rss_offset_db: Annotated[float, bounds(given.RSS_OFFSET_DB)] | None = None
+    """How much more its radio reports than the calibrated one; without it as the antenna file's `receivers` say."""
+    threshold_dbm: Annotated[float, bounds(given.THRESHOLD_DBM)] | None = None
+    """The strongest level its radio does not receive; without it as the antenna file says."""
     receiver: ReceiverTable
     vehicle: VehicleTable
 

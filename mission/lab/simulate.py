@@ -4,7 +4,7 @@ The world's robots drive with limited speed and turn rate, its channel rounds, l
 the antenna says. The kernel and safety are the ones of a live mission.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +55,10 @@ class Truth:
     """Deviation of a position error that wanders, as of satellites, the same for all robots of a moment."""
     pose_wander_s: float = 60.0
     """How long such an error lasts."""
+    source_up_m: float = 0.0
+    """How high the transmitters are; robots fly as high as the mission says."""
+    elevation: float = 0.0
+    """kappa of `channel.spread`: 2 for two vertical dipoles."""
 
 
 @dataclass(slots=True)
@@ -84,7 +88,7 @@ def simulate(
     recorder is put in.
     """
     kernel = Kernel(settings)
-    world = _World(settings.engine.robots, truth, seed, step_s)
+    world = _World(settings.engine.robots, truth, seed, step_s, settings.altitude_m)
     covered_at: dict[int, float] = {}
     inbox: list[Event] = [VehicleState(0, robot, "guided", True) for robot in settings.engine.robots]
     end_reason = ""
@@ -110,10 +114,13 @@ def simulate(
 class _World:
     """What is true: rovers, transmissions, and the errors of clocks and positions."""
 
-    def __init__(self, robots: tuple[str, ...], truth: Truth, seed: int, step_s: float) -> None:
+    def __init__(
+        self, robots: tuple[str, ...], truth: Truth, seed: int, step_s: float, altitude_m: Mapping[str, float]
+    ) -> None:
         generators = (np.random.default_rng([seed, k]) for k in range(4))
         rng_traffic, self.rng_channel, self.rng_pose, self.rng_wander = generators
         self.truth, self.step_s, self.t_s = truth, step_s, 0.0
+        self.up_m = np.array([altitude_m.get(robot, 0.0) for robot in robots])
         self.rovers = {
             r: Rover(e, n, max_speed_m_s=truth.max_speed_m_s)
             for r, (e, n) in zip(robots, truth.start_m, strict=True)
@@ -142,7 +149,10 @@ class _World:
                 ]
             )
             heading = np.array([rover.heading_deg for rover in self.rovers.values()])
-            events += _heard(at_s, source, place, self.clock_s, self.truth, self.rng_channel, heading)
+            above_m = self.up_m - self.truth.source_up_m
+            events += _heard(
+                at_s, source, place, above_m, self.clock_s, self.truth, self.rng_channel, heading
+            )
         return [*events, Tick(round(self.t_s * 1e9))]
 
     def _poses(self) -> list[Pose]:
@@ -153,12 +163,12 @@ class _World:
             self.wander = kept * self.wander + fresh * np.sqrt(1.0 - kept**2)
         sigma_m = float(np.hypot(truth.pose_sigma_m, truth.pose_wander_m))
         poses = []
-        for robot, rover in self.rovers.items():
+        for (robot, rover), up_m in zip(self.rovers.items(), self.up_m.tolist(), strict=True):
             noisy = truth.pose_sigma_m > 0
             noise = self.rng_pose.normal(0.0, truth.pose_sigma_m, 2) if noisy else np.zeros(2)
             east, north = np.array([rover.east_m, rover.north_m]) + self.bias[robot] + noise + self.wander
             at = float(east), float(north)
-            poses.append(Pose(round(self.t_s * 1e9), robot, *at, 0.0, rover.heading_deg, sigma_m))
+            poses.append(Pose(round(self.t_s * 1e9), robot, *at, up_m, rover.heading_deg, sigma_m))
         return poses
 
     def obey(self, command: Command) -> str:
@@ -187,12 +197,16 @@ def _heard(
     at_s: float,
     source: TransientSource,
     place: FloatArray,
+    up_m: FloatArray,
     clock_s: dict[str, float],
     truth: Truth,
     rng: np.random.Generator,
     heading_deg: FloatArray | float = 0.0,
 ) -> list[Event]:
-    """What the radios at `place` (m, 2), pointing to `heading_deg` (m,), heard, in the order of `clock_s`."""
+    """What the radios at `place` (m, 2), pointing to `heading_deg` (m,), heard, in the order of `clock_s`.
+
+    They are `up_m` (m,) above the sources.
+    """
     way = np.array([source.east_m, source.north_m]) - place
     off_front = np.degrees(np.arctan2(way[:, 0], way[:, 1])) - heading_deg
     more = np.zeros(place.shape[0])
@@ -200,7 +214,12 @@ def _heard(
         more = more + truth.shadow[truth.sources.index(source)].at(place)
     if truth.offset_db:
         more = more + np.array(truth.offset_db)
-    rss = sample_rss_dbm(truth.antenna, np.hypot(*way.T), source.power_db + more, rng, off_front)
+    flat_m = np.hypot(*way.T)
+    range_m = np.hypot(flat_m, up_m)
+    if truth.elevation:
+        cos = np.where(up_m != 0.0, np.maximum(flat_m / np.maximum(range_m, 1e-9), 0.1), 1.0)
+        more = more + truth.elevation * 20.0 * np.log10(cos)
+    rss = sample_rss_dbm(truth.antenna, range_m, source.power_db + more, rng, off_front)
     if truth.packet_loss > 0.0:
         rss = np.where(rng.random(rss.shape) < truth.packet_loss, np.nan, rss)
     ceiling = truth.antenna.saturation_dbm

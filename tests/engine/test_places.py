@@ -12,7 +12,14 @@ from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.levels import LevelsModel
-from fieldkit.engine.likelihood.places import DEEPEST, Earlier, PlaceNoise, levels_of, redundancy
+from fieldkit.engine.likelihood.places import (
+    DEEPEST,
+    NOTHING_EARLIER,
+    Earlier,
+    PlaceNoise,
+    levels_of,
+    redundancy,
+)
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, Listening
 from fieldkit.tuning import LikelihoodTuning, Tuning
@@ -23,7 +30,13 @@ RADIO = LikelihoodTuning()
 LEVELS = (-8.0, -4.0, 0.0)
 SPREAD = ChannelSpread(2.0, 4.0, 3.0, transmitter_db=0.1)
 ANTENNA = Antenna(2.53, -62.0, float(np.hypot(2.0, 4.0)), -80.0)
-NONE = Earlier(np.zeros((0, 2)), np.zeros(0))
+NONE = NOTHING_EARLIER
+
+
+def earlier_at(model, position, rss):
+    """Readings of a robot on the ground."""
+    place, none = np.array(position, dtype=float).reshape(-1, 2), np.empty(0)
+    return Earlier(model.ears.of(["r0"] * len(place), place, none, none, none), np.array(rss, dtype=float))
 
 
 def detection(rss, position, t_ns=0):
@@ -56,7 +69,7 @@ def test_without_place_noise_it_equals_independent_readings(still):
     model, places = noise(still)
     d = detection([-70.0, np.nan, -66.0], [(1.0, 2.0), (4.0, 4.0), (1.5, 2.0)])
     points = np.random.default_rng(1).uniform(0.0, 6.0, (50, 2))
-    earlier = Earlier(np.array([[1.1, 2.0], [1.0, 2.0]]), np.array([-60.0, -61.0]))
+    earlier = earlier_at(model, [[1.1, 2.0], [1.0, 2.0]], [-60.0, -61.0])
     assert places.log_likelihood(d, points, earlier) == pytest.approx(
         model.log_likelihood(d, points), abs=1e-9
     )
@@ -66,7 +79,7 @@ def twin(model, d, point, level_dbm, earlier):
     """log p robot by robot, those who heard first, from the docstrings of `levels` and `places`."""
     smear = 25.3 / np.log(10.0) * model.place_sigma_m
     alone = SPREAD.sigma_time_db**2 + SPREAD.sigma_place_db**2
-    place, rss = list(earlier.place_m), list(earlier.rss_dbm)
+    place, rss = list(earlier.ears[:, :2]), list(earlier.rss_dbm)
     total = 0.0
     for q in np.argsort(~d.heard, kind="stable"):
         at = d.position_m[q]
@@ -105,7 +118,7 @@ def twin(model, d, point, level_dbm, earlier):
 def test_the_compiled_loop_agrees_with_a_plain_twin():
     model, places = noise()
     d = detection([-70.0, np.nan, -66.0], [(1.0, 2.0), (4.0, 4.0), (1.5, 2.0)])
-    earlier = Earlier(np.array([[1.1, 2.0], [3.0, 3.0]]), np.array([-60.0, -71.0]))
+    earlier = earlier_at(model, [[1.1, 2.0], [3.0, 3.0]], [-60.0, -71.0])
     points = np.random.default_rng(2).uniform(0.0, 6.0, (30, 2))
     log = places.log_likelihood(d, points, earlier)
     for h, level in enumerate(model.level_dbm):
@@ -114,26 +127,27 @@ def test_the_compiled_loop_agrees_with_a_plain_twin():
 
 def test_the_next_reading_of_a_place_tells_little_of_the_distance():
     """What separates two distances by 10 dB at first separates them by half as much in the second reading."""
-    _, places = noise(levels=(0.0,))
+    model, places = noise(levels=(0.0,))
     d = detection([-62.0], [(0.0, 0.0)])
     points = np.array([[1.0, 0.0], [2.5, 0.0]])
     first = places.log_likelihood(d, points, NONE)[0]
-    second = places.log_likelihood(d, points, Earlier(np.zeros((1, 2)), np.array([-62.0])))[0]
+    second = places.log_likelihood(d, points, earlier_at(model, [[0.0, 0.0]], [-62.0]))[0]
     assert second[0] - second[1] < 0.5 * (first[0] - first[1])
 
 
 def test_silence_of_one_place_counts_less_the_longer_it_was():
     model, places = noise()
     exposure = np.zeros((model.power_db.size, 20, 20))
+    ear = earlier_at(model, [[5.0, 5.0]], [0.0]).ears
     worth = []
-    for k in range(400):
+    for _ in range(400):
         before = exposure[1].sum()
-        places.listen(exposure, 0.5, Listening(k * 10**9, (k + 1) * 10**9, ("r0",), np.array([[5.0, 5.0]])))
+        places.listen(exposure, 0.5, ear, 1.0)
         worth.append(exposure[1].sum() - before)
     assert worth[0] > 1.2 * worth[-1] > 0.0
     alone = np.zeros_like(exposure)
     model, still = noise(ChannelSpread(ANTENNA.sigma_db, 0.0, 3.0))
-    still.listen(alone, 0.5, Listening(0, 10**9, ("r0",), np.array([[5.0, 5.0]])))
+    still.listen(alone, 0.5, ear, 1.0)
     twin = np.zeros_like(exposure)
     belief_model = LevelsModel(ANTENNA, LEVELS, 0.1)
     levels_loops.add_exposure(

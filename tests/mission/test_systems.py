@@ -114,4 +114,7 @@ def test_a_directional_mission_wants_an_antenna_with_a_pattern_and_the_reverse(t
     with pytest.raises(ConfigError, match="directional"):
         small_mission(tmp_path, engine={"belief": "spog", "sensing": "directional"})
     with pytest.raises(ConfigError, match="directional"):
-        small_mission(tmp_path, antenna=LOBE)
+        small_mission(tmp_path, engine={"belief": "spog", "planner": "prwa"}, antenna=LOBE)
+    assert small_mission(
+        tmp_path, antenna=LOBE
+    ).kernel.engine.antenna.pattern_db  # the default belief knows headings

@@ -10,6 +10,7 @@ been the same transmission by a clock that is off: a wrong "heard nothing" misle
 
 import re
 from bisect import bisect_left
+from collections.abc import Container
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,8 +23,18 @@ _NUMBERED = re.compile(r".*/[0-9a-f]{2}")
 comes again with the sender's next packet: such ids may keep receptions apart but not join them."""
 NUMBERED_REACH_NS = 500_000_000
 """How far apart in time receptions of one numbered frame may be: far under the 256 frames after which numbers recur."""
+FLAT_ORIGINS = ("camera", "file")
+"""Sources of positions that may tell no height; then it is nought."""
 ASTRAY_WINDOWS = 3
 """A reception up to so many windows away may belong to the same transmission, heard by a clock that is off."""
+
+
+Place = tuple[float, float, float, float, float]
+"""East and north in metres, heading in degrees, height and deviation in metres."""
+
+
+def _place(pose: Pose) -> Place:
+    return pose.east_m, pose.north_m, pose.heading_deg, pose.up_m, pose.sigma_m
 
 
 @dataclass
@@ -43,8 +54,8 @@ class PoseTrack:
         if len(self.t_ns) > 64 and self.t_ns[32] < pose.t_ns - _KEEP_NS:
             del self.t_ns[:32], self.poses[:32]
 
-    def at(self, t_ns: int) -> tuple[float, float, float] | None:
-        """East, north, heading at `t_ns`; None where no pose is near enough to say.
+    def at(self, t_ns: int) -> Place | None:
+        """East, north, heading, height and deviation at `t_ns`; None where no pose is near enough to say.
 
         Between poses further apart than the gap, or further than half of it beyond the last one, nothing is known.
         """
@@ -53,11 +64,11 @@ class PoseTrack:
         index = bisect_left(self.t_ns, t_ns)
         if index < len(self.t_ns) and self.t_ns[index] == t_ns:
             pose = self.poses[index]
-            return pose.east_m, pose.north_m, pose.heading_deg
+            return _place(pose)
         if index == len(self.t_ns) or index == 0:
             pose = self.poses[-1 if index else 0]
             near = abs(t_ns - pose.t_ns) <= self.max_gap_ns // 2
-            return (pose.east_m, pose.north_m, pose.heading_deg) if near else None
+            return _place(pose) if near else None
         before, after = self.poses[index - 1], self.poses[index]
         if after.t_ns - before.t_ns > self.max_gap_ns:
             return None
@@ -67,6 +78,8 @@ class PoseTrack:
             before.east_m + share * (after.east_m - before.east_m),
             before.north_m + share * (after.north_m - before.north_m),
             (before.heading_deg + share * turn) % 360.0,
+            before.up_m + share * (after.up_m - before.up_m),
+            max(before.sigma_m, after.sigma_m),
         )
 
 
@@ -99,8 +112,13 @@ class Associator:
         lateness_s: float = 1.0,
         max_pose_gap_s: float = 1.0,
         silence_step_s: float = 1.0,
+        flying: Container[str] = (),
     ) -> None:
+        """`flying`: robots that leave the ground. Of them positions without a height are no positions."""
         self.robots = robots
+        self.without_height: dict[str, str] = {}
+        """Robots that fly though their positions tell no height, and where those come from."""
+        self._flying = flying
         self.late_readings = 0
         """Readings that came after their time had been closed; they are dropped and counted."""
         self._window_ns = round(window_s * 1e9)
@@ -115,8 +133,13 @@ class Associator:
 
     def pose(self, pose: Pose) -> None:
         """Take in a pose of one of our robots."""
-        if pose.robot in self._tracks:
-            self._tracks[pose.robot].add(pose)
+        if pose.robot not in self._tracks:
+            return
+        if pose.up_m == 0.0 and pose.origin in FLAT_ORIGINS and pose.robot in self._flying:
+            # On the ground it would seem to hear from where it is not.
+            self.without_height[pose.robot] = pose.origin
+            return
+        self._tracks[pose.robot].add(pose)
 
     def receiver(self, state: ReceiverState) -> None:
         """Take in that a receiver went down or came back."""
@@ -181,7 +204,7 @@ class Associator:
             up = state
         return up
 
-    def _where(self, t_ns: int) -> tuple[tuple[str, ...], list[tuple[float, float, float]]]:
+    def _where(self, t_ns: int) -> tuple[tuple[str, ...], list[Place]]:
         names, places = [], []
         for robot in self.robots:
             if self._is_up(robot, t_ns) and (place := self._tracks[robot].at(t_ns)) is not None:
@@ -199,7 +222,16 @@ class Associator:
         names, rss = tuple(names[index] for index in keep), rss[keep]
         place = np.array(places)[keep]
         saturated = np.array([n in group.readings and group.readings[n].saturated for n in names])
-        return Detection(group.t_ns, names, place[:, :2].copy(), place[:, 2].copy(), rss, saturated)
+        return Detection(
+            group.t_ns,
+            names,
+            place[:, :2].copy(),
+            place[:, 2].copy(),
+            rss,
+            saturated,
+            up_m=place[:, 3].copy(),
+            sigma_m=place[:, 4].copy(),
+        )
 
     def _out_of_step(self, group: _Group) -> set[str]:
         """Robots that heard something near in time which may have been this transmission."""
@@ -222,5 +254,7 @@ class Associator:
             self._silent_until_ns = t1 = t0 + self._silence_ns
             names, places = self._where((t0 + t1) // 2)
             if names:
-                stretches.append(Listening(t0, t1, names, np.array(places)[:, :2].copy()))
+                place = np.array(places)
+                heading_deg, up_m, sigma_m = place[:, 2].copy(), place[:, 3].copy(), place[:, 4].copy()
+                stretches.append(Listening(t0, t1, names, place[:, :2].copy(), up_m, heading_deg, sigma_m))
         return stretches

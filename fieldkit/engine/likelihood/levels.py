@@ -25,6 +25,7 @@ from scipy.special import log_ndtr, logsumexp, ndtr
 
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.engine.likelihood import levels_loops
+from fieldkit.engine.likelihood.ears import Ears
 from fieldkit.messages import Detection, FloatArray
 from fieldkit.tuning import LikelihoodTuning
 
@@ -61,8 +62,11 @@ class LevelsModel:
         power_levels_db: tuple[float, ...],
         place_sigma_m: float,
         tuning: LikelihoodTuning = LikelihoodTuning(),
+        ears: Ears | None = None,
     ) -> None:
+        """`place_sigma_m`: how unsure places are, of receivers and candidates together; `ears` knows better of each."""
         self.tuning = tuning
+        self.ears = ears or Ears(antenna, point_sigma_m=place_sigma_m)
         known = np.sort(np.asarray(power_levels_db, dtype=float))
         outside = np.concatenate(
             [known[0] - np.array(tuning.outside_db), known[-1] + np.array(tuning.outside_db)]
@@ -115,6 +119,7 @@ class LevelsModel:
         margin_db = (
             self.antenna.power_at_1m_dbm
             + strongest_db
+            + self.ears.best_db
             - self.antenna.threshold_dbm
             - 0.5
             + 2.9 * self.antenna.sigma_db
@@ -139,15 +144,13 @@ class LevelsModel:
         fixed = np.empty((level_dbm.size, points_m.shape[0]))
         levels_loops.levels_loglik(
             np.ascontiguousarray(points_m),
-            detection.position_m,
+            self.ears.of_detection(detection),
             detection.rss_dbm,
             detection.saturated.astype(float),
             level_dbm,
-            self.ten_beta,
+            self.ears.law,
+            self.ears.pattern_db,
             self.antenna.sigma_db,
-            self.antenna.threshold_dbm,
-            MIN_RANGE_M,
-            self.place_sigma_m,
             self.tuning.packet_loss,
             self.tuning.outliers,
             self.tuning.outlier_width,

@@ -1,7 +1,7 @@
 """The compiled loops of the exact likelihood and of exposure. Their plain numpy twins are in the tests.
 
-Shapes: points (n, 2) and robots (m, 2) are east, north in metres; `rss` (m,) is nan where a robot listened and
-heard nothing; `levels` (h,) are received powers at 1 m in dBm.
+Shapes: points (n, 2) and robots (m, 2) are east, north in metres; ears (m, columns) as `ears_loops` has them; `rss`
+(m,) is nan where a robot listened and heard nothing; `levels` (h,) are received powers at 1 m in dBm.
 """
 
 import math
@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from fieldkit.engine.compiled import njit
+from fieldkit.engine.likelihood.ears_loops import EAST, NORTH, SIGMA, THRESHOLD, beyond_distance_db, square_m2
 from fieldkit.messages import FloatArray, IntArray
 
 _SQRT2 = math.sqrt(2.0)
@@ -23,15 +24,13 @@ def _upper(x: float) -> float:
 @njit(cache=True, nogil=True)
 def levels_loglik(
     points: FloatArray,
-    robots: FloatArray,
+    ears: FloatArray,
     rss: FloatArray,
     saturated: FloatArray,
     levels: FloatArray,
-    ten_beta: float,
+    law: FloatArray,
+    pattern: FloatArray,
     sigma: float,
-    threshold: float,
-    min_range: float,
-    place_sigma: float,
     loss: float,
     outlier: float,
     outlier_width: float,
@@ -41,29 +40,31 @@ def levels_loglik(
     per_sigma: float,
     out: FloatArray,
 ) -> None:
-    """out (h, n): log p(readings | source at the point with that level). See `sensing.levels`.
+    """out (h, n): log p(readings | source at the point with that level). See `likelihood.levels`.
 
     `log_silent` holds log P(silent) at x = silent_from, silent_from + 1 / per_sigma, ... standard deviations of the
     mean above the threshold; `log_heard` the log of the density's shape at |t| = 0, 1 / per_sigma, ... .
     """
     n = points.shape[0]
-    m = robots.shape[0]
+    m = ears.shape[0]
     n_levels = levels.shape[0]
-    slope = ten_beta / math.log(10.0) * place_sigma
+    ten_beta = law[0]
+    slope = ten_beta / math.log(10.0)
     silent_top = log_silent.shape[0] - 1.000001
     heard_top = log_heard.shape[0] - 1.000001
     for i in range(n):
         for h in range(n_levels):
             out[h, i] = 0.0
+        east, north = points[i, 0], points[i, 1]
         for q in range(m):
-            de = points[i, 0] - robots[q, 0]
-            dn = points[i, 1] - robots[q, 1]
-            d2 = max(de * de + dn * dn, min_range * min_range)
+            d2 = square_m2(east, north, ears, q, law[1])
             attenuation = 0.5 * ten_beta * math.log10(d2)
-            spread = math.sqrt(sigma * sigma + slope * slope / (d2 + place_sigma * place_sigma))
+            attenuation += beyond_distance_db(east, north, ears, q, d2, law, pattern)
+            unsure2 = ears[q, SIGMA] * ears[q, SIGMA]
+            spread = math.sqrt(sigma * sigma + slope * slope * unsure2 / (d2 + unsure2))
             if math.isnan(rss[q]):
                 scale = per_sigma / spread
-                shift = (-threshold - 0.5 - attenuation) * scale - silent_from * per_sigma
+                shift = (-ears[q, THRESHOLD] - 0.5 - attenuation) * scale - silent_from * per_sigma
                 for h in range(n_levels):
                     at = min(max(levels[h] * scale + shift, 0.0), silent_top)
                     k = int(at)
@@ -137,7 +138,7 @@ def add_exposure(
 @njit(cache=True, nogil=True)
 def conditional_loglik(
     points: FloatArray,
-    robots: FloatArray,
+    ears: FloatArray,
     rss: FloatArray,
     saturated: FloatArray,
     near: FloatArray,
@@ -147,10 +148,8 @@ def conditional_loglik(
     variance: float,
     furthest: float,
     levels: FloatArray,
-    ten_beta: float,
-    threshold: float,
-    min_range: float,
-    place_sigma: float,
+    law: FloatArray,
+    pattern: FloatArray,
     loss: float,
     outlier: float,
     outlier_width: float,
@@ -162,43 +161,47 @@ def conditional_loglik(
 ) -> None:
     """out (h, n): as `levels_loglik`, each robot's mean moved by what the same source's earlier readings were off.
 
-    `near` (m, k, 2) and `near_rss` (m, k) are those readings, `weights` (m, k) what each counts, 0 for none, and
-    `explained` (m, k) by how much it lowers the `variance` of a reading alone (without rounding). A reading made so
-    near the point that an unsure place alone moves it by decibels counts for less, and no shadow is believed that is
-    deeper than `furthest` dB: those who heard another source are no reason to expect one.
+    `near` (m * k, columns of an ear) and `near_rss` (m, k) are those readings, `weights` (m, k) what each counts, 0
+    for none, and `explained` (m, k) by how much it lowers the `variance` of a reading alone (without rounding). A
+    reading made so near the point that an unsure place alone moves it by decibels counts for less, and no shadow is
+    believed that is deeper than `furthest` dB: those who heard another source are no reason to expect one.
     """
-    n, m, n_levels, near_count = points.shape[0], robots.shape[0], levels.shape[0], near.shape[1]
-    slope = ten_beta / math.log(10.0) * place_sigma
+    n, m, n_levels, near_count = points.shape[0], ears.shape[0], levels.shape[0], weights.shape[1]
+    ten_beta = law[0]
+    slope = ten_beta / math.log(10.0)
     silent_top = log_silent.shape[0] - 1.000001
     heard_top = log_heard.shape[0] - 1.000001
     for i in range(n):
         for h in range(n_levels):
             out[h, i] = 0.0
+        east, north = points[i, 0], points[i, 1]
         for q in range(m):
-            de = points[i, 0] - robots[q, 0]
-            dn = points[i, 1] - robots[q, 1]
-            d2 = max(de * de + dn * dn, min_range * min_range)
+            d2 = square_m2(east, north, ears, q, law[1])
             attenuation = 0.5 * ten_beta * math.log10(d2)
+            attenuation += beyond_distance_db(east, north, ears, q, d2, law, pattern)
             # Neighbours were off by moved - levels[h] * taken in all, each as much as it counts.
             moved = 0.0
             taken = 0.0
             left = variance
             for j in range(near_count):
                 if weights[q, j] != 0.0:
-                    ne = points[i, 0] - near[q, j, 0]
-                    nn = points[i, 1] - near[q, j, 1]
-                    away2 = max(ne * ne + nn * nn, min_range * min_range)
-                    trust = variance / (variance + slope * slope / (away2 + place_sigma * place_sigma))
+                    row = q * near_count + j
+                    away2 = square_m2(east, north, near, row, law[1])
+                    fainter = 0.5 * ten_beta * math.log10(away2)
+                    fainter += beyond_distance_db(east, north, near, row, away2, law, pattern)
+                    its2 = near[row, SIGMA] * near[row, SIGMA]
+                    trust = variance / (variance + slope * slope * its2 / (away2 + its2))
                     weight = trust * weights[q, j]
-                    moved += weight * (near_rss[q, j] + 0.5 * ten_beta * math.log10(away2))
+                    moved += weight * (near_rss[q, j] + fainter)
                     taken += weight
                     left -= trust * explained[q, j]
-            spread = math.sqrt(left + slope * slope / (d2 + place_sigma * place_sigma))
+            unsure2 = ears[q, SIGMA] * ears[q, SIGMA]
+            spread = math.sqrt(left + slope * slope * unsure2 / (d2 + unsure2))
             if math.isnan(rss[q]):
                 scale = per_sigma / spread
                 for h in range(n_levels):
                     off = min(max(moved - levels[h] * taken, -furthest), furthest)
-                    margin = levels[h] - attenuation + off - threshold - 0.5
+                    margin = levels[h] - attenuation + off - ears[q, THRESHOLD] - 0.5
                     at = min(max(margin * scale - silent_from * per_sigma, 0.0), silent_top)
                     k = int(at)
                     out[h, i] += log_silent[k] + (at - k) * (log_silent[k + 1] - log_silent[k])
@@ -220,28 +223,56 @@ def conditional_loglik(
 
 
 @njit(cache=True, nogil=True)
-def add_exposure_at_places(
+def add_exposure_of_ears(
     exposure: FloatArray,
     cell: float,
-    robots: FloatArray,
+    ears: FloatArray,
     which: IntArray,
     hear: FloatArray,
     step2: float,
     limit2: FloatArray,
+    threshold: float,
+    law: FloatArray,
+    pattern: FloatArray,
+    best: float,
     duration: float,
 ) -> None:
-    """As `add_exposure`, each robot with the table `hear[which]` (tables, levels, k) of the place where it is."""
+    """As `add_exposure`, for ears (m, columns), each with the table `hear[which]` (tables, levels, k) of its place.
+
+    `hear` is of a receiver with `threshold` on the sources' own ground: a loss besides distance, or a higher threshold,
+    counts as so much more distance. Nobody gains more than `best` dB.
+    """
     n_levels, rows, columns = exposure.shape
     last = hear.shape[2] - 1
-    for r in range(rows):
+    m = ears.shape[0]
+    per_db = 2.0 / law[0]
+    widest = math.sqrt(limit2.max() * 10.0 ** (per_db * best))
+    furthest2 = limit2.max()
+    row0 = max(0, int(math.floor((ears[:, NORTH].min() - widest) / cell)))
+    row1 = min(rows, int(math.floor((ears[:, NORTH].max() + widest) / cell)) + 1)
+    column0 = max(0, int(math.floor((ears[:, EAST].min() - widest) / cell)))
+    column1 = min(columns, int(math.floor((ears[:, EAST].max() + widest) / cell)) + 1)
+    as_far2 = np.empty(m)
+    for r in range(row0, row1):
         north = (r + 0.5) * cell
-        for c in range(columns):
+        for c in range(column0, column1):
             east = (c + 0.5) * cell
+            nearest2 = math.inf
+            for q in range(m):
+                d2 = square_m2(east, north, ears, q, law[1])
+                more = beyond_distance_db(east, north, ears, q, d2, law, pattern)
+                more += ears[q, THRESHOLD] - threshold
+                if more != 0.0:
+                    d2 *= 10.0 ** (per_db * more)
+                as_far2[q] = d2
+                nearest2 = min(nearest2, d2)
+            if nearest2 >= furthest2:
+                continue
             for h in range(n_levels):
+                if nearest2 >= limit2[h]:
+                    continue
                 silent = 1.0
-                for q in range(robots.shape[0]):
-                    d2 = (east - robots[q, 0]) ** 2 + (north - robots[q, 1]) ** 2
-                    if d2 < limit2[h]:
-                        silent *= 1.0 - hear[which[q], h, min(int(d2 / step2), last)]
-                if silent < 1.0:
-                    exposure[h, r, c] += duration * (1.0 - silent)
+                for q in range(m):
+                    if as_far2[q] < limit2[h]:
+                        silent *= 1.0 - hear[which[q], h, min(int(as_far2[q] / step2), last)]
+                exposure[h, r, c] += duration * (1.0 - silent)

@@ -14,8 +14,9 @@ from scipy.special import log_ndtr
 from fieldkit.channel.model import MIN_RANGE_M
 from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.likelihood import levels_loops
+from fieldkit.engine.likelihood.ears_loops import COLUMNS, NORTH, SIGMA, UP
 from fieldkit.engine.likelihood.levels import PER_SIGMA, SILENT_FROM, LevelsModel, tables
-from fieldkit.messages import Detection, FloatArray, Listening
+from fieldkit.messages import Detection, FloatArray
 
 NEIGHBOURS = 6
 REACH = 2.5
@@ -44,10 +45,13 @@ def levels_of(known_db: tuple[float, ...], spread: ChannelSpread | None) -> tupl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Earlier:
-    """A candidate's own readings: where (k, 2) and how strong (k,)."""
+    """A candidate's own readings: by which ears (k, columns) and how strong (k,)."""
 
-    place_m: FloatArray
+    ears: FloatArray
     rss_dbm: FloatArray
+
+
+NOTHING_EARLIER = Earlier(np.zeros((0, COLUMNS)), np.zeros(0))
 
 
 class PlaceNoise:
@@ -83,44 +87,47 @@ class PlaceNoise:
             below += silent
         return np.asarray(top / below)
 
-    def listen(self, exposure_s: FloatArray, cell_m: float, listening: Listening) -> None:
-        """Add what a stretch of listening is worth, and remember where it was."""
-        keys = [tuple(each) for each in np.floor(listening.position_m / self.length_m).astype(int).tolist()]
+    def listen(self, exposure_s: FloatArray, cell_m: float, ears: FloatArray, duration_s: float) -> None:
+        """Add what a stretch of listening by ears (m, columns) is worth, and remember where it was."""
+        keys = [tuple(each) for each in np.floor(ears[:, : UP + 1] / self.length_m).astype(int).tolist()]
         spent = np.array([self._spent_s.get(key, 0.0) for key in keys])
         which = np.argmin(np.abs(spent[:, None] - np.array(SPENT_S)), axis=1).astype(np.int64)
         for key in keys:
-            self._spent_s[key] = self._spent_s.get(key, 0.0) + listening.duration_s
-        levels_loops.add_exposure_at_places(
+            self._spent_s[key] = self._spent_s.get(key, 0.0) + duration_s
+        levels_loops.add_exposure_of_ears(
             exposure_s,
             cell_m,
-            listening.position_m,
+            ears,
             which,
             self._hear,
             self.model.step2_m2,
             self.model.limit2_m2,
-            listening.duration_s,
+            self.model.antenna.threshold_dbm,
+            self.model.ears.law,
+            self.model.ears.pattern_db,
+            self.model.ears.best_db,
+            duration_s,
         )
 
     def log_likelihood(self, detection: Detection, points_m: FloatArray, earlier: Earlier) -> FloatArray:
         """(h, n): as the model's, given what was heard earlier of the same source, and by robots named before."""
-        near, near_rss, weights, explained = self._neighbours(detection, earlier)
+        ears = self.model.ears.of_detection(detection)
+        near, near_rss, weights, explained = self._neighbours(detection, ears, earlier)
         fixed = np.empty((self.model.level_dbm.size, points_m.shape[0]))
         levels_loops.conditional_loglik(
             np.ascontiguousarray(points_m),
-            detection.position_m,
+            ears,
             detection.rss_dbm,
             detection.saturated.astype(float),
-            near,
+            near.reshape(-1, COLUMNS),
             near_rss,
             weights,
             explained,
             self.time_var + self.place_var,
             DEEPEST * float(np.sqrt(self.place_var)),
             self.model.level_dbm,
-            self.model.ten_beta,
-            self.model.antenna.threshold_dbm,
-            MIN_RANGE_M,
-            self.model.place_sigma_m,
+            self.model.ears.law,
+            self.model.ears.pattern_db,
             self.model.tuning.packet_loss,
             self.model.tuning.outliers,
             self.model.tuning.outlier_width,
@@ -139,71 +146,80 @@ class PlaceNoise:
     ) -> tuple[float, int]:
         """Mean squared standardised residual one step ahead of a source's readings, and how many there are."""
         squares: list[float] = []
-        earlier = Earlier(np.zeros((0, 2)), np.zeros(0))
-        slope = self.model.ten_beta / np.log(10.0) * self.model.place_sigma_m
+        earlier = NOTHING_EARLIER
+        slope = self.model.ten_beta / np.log(10.0)
         alone = self.time_var + self.place_var
         furthest = DEEPEST * float(np.sqrt(self.place_var))
+
+        def unsure_db2(ears: FloatArray) -> FloatArray:
+            flat2 = ((ears[..., : NORTH + 1] - point_m) ** 2).sum(axis=-1)
+            d2 = np.maximum(flat2 + ears[..., UP] ** 2, MIN_RANGE_M**2)
+            return np.asarray(slope**2 * ears[..., SIGMA] ** 2 / (d2 + ears[..., SIGMA] ** 2))
+
+        def fainter_db(ears: FloatArray) -> FloatArray:
+            rows = ears.reshape(-1, COLUMNS)
+            loss: FloatArray = self.model.ears.attenuation_db(point_m[None], rows)[0].reshape(ears.shape[:-1])
+            return loss
+
         for detection in detections:
-            near, near_rss, weights, explained = self._neighbours(detection, earlier)
-            away2 = np.maximum(((near - point_m) ** 2).sum(axis=-1), MIN_RANGE_M**2)
-            trust = alone / (alone + slope**2 / (away2 + self.model.place_sigma_m**2))
-            off = trust * weights * (near_rss - level_dbm + 0.5 * self.model.ten_beta * np.log10(away2))
+            ears = self.model.ears.of_detection(detection)
+            near, near_rss, weights, explained = self._neighbours(detection, ears, earlier)
+            trust = alone / (alone + unsure_db2(near))
+            off = trust * weights * (near_rss - level_dbm + fainter_db(near))
             expected = np.clip(off.sum(axis=1), -furthest, furthest)
             use = detection.heard & ~detection.saturated
-            place, rss = detection.position_m[use], detection.rss_dbm[use]
-            d2 = np.maximum(((place - point_m) ** 2).sum(axis=1), MIN_RANGE_M**2)
-            left = alone - (trust * explained).sum(axis=1)[use]
-            variance = left + slope**2 / (d2 + self.model.place_sigma_m**2) + 1.0 / 12.0
-            residual = rss - level_dbm + 0.5 * self.model.ten_beta * np.log10(d2) - expected[use]
-            squares += np.minimum(residual**2 / variance, 12.0).tolist()
+            variance = alone - (trust * explained).sum(axis=1) + unsure_db2(ears) + 1.0 / 12.0
+            residual = detection.rss_dbm - level_dbm + fainter_db(ears) - expected
+            squares += np.minimum(residual[use] ** 2 / variance[use], 12.0).tolist()
             earlier = Earlier(
-                np.concatenate([earlier.place_m, place]), np.concatenate([earlier.rss_dbm, rss])
+                np.concatenate([earlier.ears, ears[use]]),
+                np.concatenate([earlier.rss_dbm, detection.rss_dbm[use]]),
             )
         return (float(np.mean(squares)) if squares else 0.0), len(squares)
 
     def _neighbours(
-        self, detection: Detection, earlier: Earlier
+        self, detection: Detection, ears: FloatArray, earlier: Earlier
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Of each robot (m,) the nearest earlier readings, their weights, and what variance each explains."""
-        m = detection.position_m.shape[0]
-        near, near_rss = np.zeros((m, NEIGHBOURS, 2)), np.zeros((m, NEIGHBOURS))
+        m = ears.shape[0]
+        near, near_rss = np.zeros((m, NEIGHBOURS, COLUMNS)), np.zeros((m, NEIGHBOURS))
         weights, explained = np.zeros((m, NEIGHBOURS)), np.zeros((m, NEIGHBOURS))
         use = detection.heard & ~detection.saturated
         # Who heard goes first: silence is conditioned on it.
         order = np.argsort(~detection.heard, kind="stable")
-        place, rss = earlier.place_m, earlier.rss_dbm
+        before, rss = earlier.ears, earlier.rss_dbm
         for q in order.tolist():
             if rss.size:
-                self._fill(q, detection.position_m[q], place, rss, near, near_rss, weights, explained)
+                self._fill(q, ears[q], before, rss, near, near_rss, weights, explained)
             if use[q]:
-                place = np.concatenate([place, detection.position_m[q : q + 1]])
+                before = np.concatenate([before, ears[q : q + 1]])
                 rss = np.append(rss, detection.rss_dbm[q])
         return near, near_rss, weights, explained
 
     def _fill(
         self,
         q: int,
-        at_m: FloatArray,
-        place_m: FloatArray,
+        ear: FloatArray,
+        before: FloatArray,
         rss_dbm: FloatArray,
         near: FloatArray,
         near_rss: FloatArray,
         weights: FloatArray,
         explained: FloatArray,
     ) -> None:
-        away = np.hypot(place_m[:, 0] - at_m[0], place_m[:, 1] - at_m[1])
+        away = np.sqrt(((before[:, : UP + 1] - ear[: UP + 1]) ** 2).sum(axis=1))
         order = np.argsort(away, kind="stable")[:NEIGHBOURS]
         order = order[away[order] < REACH * self.length_m]
         if order.size == 0:
             return
-        place = place_m[order]
+        place = before[order, : UP + 1]
         apart = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=-1))
         cov = self.place_var * np.exp(-apart / self.length_m)
         cov[np.diag_indices_from(cov)] += self.time_var + 1.0 / 12.0
         cross = self.place_var * np.exp(-away[order] / self.length_m)
         solved = np.linalg.solve(cov, cross)
         count = order.size
-        near[q, :count], near_rss[q, :count] = place, rss_dbm[order]
+        near[q, :count], near_rss[q, :count] = before[order], rss_dbm[order]
         weights[q, :count], explained[q, :count] = solved, np.maximum(solved * cross, 0.0)
 
 

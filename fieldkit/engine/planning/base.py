@@ -30,6 +30,8 @@ class Situation:
     """How far a robot can still drive, the way home included; robots not named can go anywhere."""
     home_m: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Where those robots have to come back to."""
+    up_m: Mapping[str, float] = field(default_factory=dict)
+    """How high robots are above the field's origin; robots not named are on it."""
     removed: frozenset[int] = frozenset()
     """Sources that were taken away: nobody is sent to look at them."""
 

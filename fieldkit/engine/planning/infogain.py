@@ -26,7 +26,7 @@ from fieldkit.engine.planning.base import (
     track,
     waypoints,
 )
-from fieldkit.engine.planning.reward import Reward
+from fieldkit.engine.planning.reward import Reward, hearing_of
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
 
@@ -69,23 +69,24 @@ class InfoGainPlanner(Planner):
         reward = self._reward(informed, situation.removed)
         for team, busy in situation.busy.items():
             if all(robot in situation.position_m for robot in team):
-                reward.take(self._underway(team, busy, situation, horizon_s))
+                reward.take(self._underway(team, busy, situation, horizon_s), self._ears(team, situation))
         paths: dict[str, tuple[Waypoint, ...]] = {}
         purpose: dict[str, str] = {}
         for team in situation.teams:
             start = np.array([situation.position_m[robot] for robot in team])
             options = self._options(situation, team, start, reward, horizon_s)
-            worth = reward.worth(options.tracks_m)
+            ears = self._ears(team, situation)
+            worth = reward.worth(options.tracks_m, ears)
             best = int(np.argmax(worth)) if worth.size else -1
             if (
                 best < 0 or worth[best] == -np.inf
             ):  # boxed in by the others, or no battery left for any path: stay
                 for robot in team:
                     paths[robot], purpose[robot] = (), "wait"
-                reward.take(self._standing(start, horizon_s))
+                reward.take(self._standing(start, horizon_s), ears)
                 continue
             places = options.places_m[best, : options.legs[best]]
-            reward.take(options.tracks_m[best])
+            reward.take(options.tracks_m[best], ears)
             self._last[team] = [tuple(place.mean(axis=0)) for place in places]
             for robot, path in zip(team, waypoints(places, start, self.settings.max_speed_m_s), strict=True):
                 paths[robot], purpose[robot] = path, options.purpose[best]
@@ -97,6 +98,9 @@ class InfoGainPlanner(Planner):
             each for each in belief.unresolved(self._tuning.samples, self._rng) if each.ident not in removed
         ]
         return Reward(self.settings, belief.model, value, self._block * self.grid.cell_m, unresolved)
+
+    def _ears(self, team: tuple[str, ...], situation: Situation) -> FloatArray:
+        return hearing_of(self.settings, team, situation.up_m)
 
     def _underway(
         self, team: tuple[str, ...], plan: Plan, situation: Situation, horizon_s: float

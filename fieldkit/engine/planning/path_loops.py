@@ -6,6 +6,20 @@ from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray, IntArray
 
 
+@njit(cache=True, nogil=True, inline="always")
+def as_far2(flat2: float, ears: FloatArray, q: int) -> float:
+    """The squared distance on the sources' own ground at which the calibrated radio hears as much as robot `q`.
+
+    `flat2` is its squared distance over ground. ears (m, 3): how high it is above the sources, by what factor its own
+    threshold makes squared distances longer, and the power of d / d_over_ground by which the elevation law does.
+    """
+    up2 = ears[q, 0] * ears[q, 0]
+    far2: float = (flat2 + up2) * ears[q, 1]
+    if up2 > 0.0 and ears[q, 2] != 0.0:
+        far2 *= (1.0 / max(flat2 / (flat2 + up2), 0.01)) ** ears[q, 2]
+    return far2
+
+
 @njit(cache=True, nogil=True)
 def path_ground_gain(
     track: FloatArray,
@@ -17,13 +31,15 @@ def path_ground_gain(
     step2: float,
     reach: float,
     rate: float,
+    ears: FloatArray,
     scratch: FloatArray,
 ) -> float:
     """Value of the ground a group of robots would cover on its path.
 
     `track` (steps, m, 2); `value` (n_north, n_east) what finding a source there is worth times its probability;
-    `planned` exposure (s) other groups will add; `hear` (k,) averaged over levels. `scratch` (as
-    `value`) holds the path's own exposure afterwards, wherever the path is heard; elsewhere it is not touched.
+    `planned` exposure (s) other groups will add; `hear` (k,) averaged over levels; `ears` (m, 3) as of `as_far2`.
+    `scratch` (as `value`) holds the path's own exposure afterwards, wherever the path is heard; elsewhere it is not
+    touched.
     """
     rows, columns = value.shape
     m = track.shape[1]
@@ -47,7 +63,7 @@ def path_ground_gain(
                 for q in range(m):
                     de = east - track[t, q, 0]
                     dn = north - track[t, q, 1]
-                    k = int((de * de + dn * dn) / step2)
+                    k = int(as_far2(de * de + dn * dn, ears, q) / step2)
                     if k < last:
                         silent *= 1.0 - hear[k]
                 scratch[r, c] += dt * (1.0 - silent)
@@ -199,6 +215,7 @@ def all_ground_gains(
     step2: float,
     reach: float,
     rate: float,
+    ears: FloatArray,
     scratch: FloatArray,
     out: FloatArray,
 ) -> None:
@@ -207,7 +224,9 @@ def all_ground_gains(
         if clear[i] == 0.0:
             out[i] = -math.inf
         else:
-            out[i] = path_ground_gain(tracks[i], dt, value, planned, cell, hear, step2, reach, rate, scratch)
+            out[i] = path_ground_gain(
+                tracks[i], dt, value, planned, cell, hear, step2, reach, rate, ears, scratch
+            )
 
 
 @njit(cache=True, nogil=True)
@@ -219,11 +238,12 @@ def all_information(
     hear: FloatArray,
     step2: float,
     min_range: float,
+    ears: FloatArray,
     out: FloatArray,
 ) -> None:
     """out (n, 4): `path_information` of each of tracks (n, steps, m, 2)."""
     for i in range(tracks.shape[0]):
-        path_information(tracks[i], dt, points, point_level, hear, step2, min_range, out[i])
+        path_information(tracks[i], dt, points, point_level, hear, step2, min_range, ears, out[i])
 
 
 @njit(cache=True, nogil=True)
@@ -261,6 +281,7 @@ def path_information(
     hear: FloatArray,
     step2: float,
     min_range: float,
+    ears: FloatArray,
     out: FloatArray,
 ) -> None:
     """What a path would learn of one source, averaged over samples of where and how strong it may be.
@@ -278,11 +299,11 @@ def path_information(
                 de = points[i, 0] - track[t, q, 0]
                 dn = points[i, 1] - track[t, q, 1]
                 d2 = de * de + dn * dn
-                k = int(d2 / step2)
+                k = int(as_far2(d2, ears, q) / step2)
                 if k < last:
                     p = hear[h, k]
                     silent *= 1.0 - p
-                    d2 = max(d2, min_range * min_range)
+                    d2 = max(d2 + ears[q, 0] * ears[q, 0], min_range * min_range)
                     w = dt * p / (d2 * d2)
                     out[1] += w * de * de
                     out[2] += w * de * dn

@@ -7,6 +7,7 @@ that it lies a cell off.
 """
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -51,24 +52,24 @@ class Reward:
         """(n_north, n_east) of squares: sources that the tracks taken would leave unheard."""
         return np.asarray(self._ground * np.exp(-self._rate_hz * self._planned_s))
 
-    def take(self, track_m: FloatArray) -> None:
-        """What this track gains is no gain for others."""
+    def take(self, track_m: FloatArray, ears: FloatArray) -> None:
+        """What this track gains is no gain for others; `ears` (m, 3) of its robots as `hearing_of` gives them."""
         self._scratch[:] = 0.0
-        self._newly_heard(track_m[None], np.ones(1))
+        self._newly_heard(track_m[None], np.ones(1), ears)
         self._planned_s += self._scratch
         for index, candidate in enumerate(self.unresolved):
-            self._learnt[index] = self._learnt[index] + self._told_of(candidate, track_m[None])[0]
+            self._learnt[index] = self._learnt[index] + self._told_of(candidate, track_m[None], ears)[0]
         before = self._taken_m
         self._taken_m = track_m if before is None else np.concatenate([before, track_m], axis=1)
 
-    def worth(self, tracks_m: FloatArray) -> FloatArray:
+    def worth(self, tracks_m: FloatArray, ears: FloatArray) -> FloatArray:
         """(n,) of tracks (n, steps, m, 2): sources newly heard, and progress with those not resolved.
 
         -inf where a track comes nearer than the separation to one that was taken.
         """
-        total = self._newly_heard(tracks_m, self._clear(tracks_m))
+        total = self._newly_heard(tracks_m, self._clear(tracks_m), ears)
         for candidate, before in zip(self.unresolved, self._learnt, strict=True):
-            told = self._told_of(candidate, tracks_m)
+            told = self._told_of(candidate, tracks_m, ears)
             gained = self._progress(candidate, before + told) - self._progress(candidate, before[None])
             total += np.where(told[:, 0] > 1e-3, gained, 0.0)
         return total
@@ -80,7 +81,7 @@ class Reward:
             path_loops.all_clear(tracks_m, self._taken_m, self._settings.min_separation_m, clear)
         return clear
 
-    def _newly_heard(self, tracks_m: FloatArray, clear: FloatArray) -> FloatArray:
+    def _newly_heard(self, tracks_m: FloatArray, clear: FloatArray, ears: FloatArray) -> FloatArray:
         """(n,) expected number of sources; the last track's own exposure is left in the scratch."""
         gain = np.empty(len(tracks_m))
         path_loops.all_ground_gains(
@@ -94,12 +95,13 @@ class Reward:
             self._model.step2_m2,
             self._model.search_reach_m,
             self._rate_hz,
+            ears,
             self._scratch,
             gain,
         )
         return gain
 
-    def _told_of(self, candidate: Unresolved, tracks_m: FloatArray) -> FloatArray:
+    def _told_of(self, candidate: Unresolved, tracks_m: FloatArray, ears: FloatArray) -> FloatArray:
         """(n, 4) exposure and information per unit rate that tracks (n, steps, m, 2) give of a candidate."""
         told = np.empty((len(tracks_m), 4))
         path_loops.all_information(
@@ -110,6 +112,7 @@ class Reward:
             self._model.hear,
             self._model.step2_m2,
             MIN_RANGE_M,
+            ears,
             told,
         )
         return told
@@ -117,7 +120,8 @@ class Reward:
     def _progress(self, candidate: Unresolved, told: FloatArray) -> FloatArray:
         """(n,) worth of what is known of a candidate after it has told this: (n, 4) exposure and information."""
         rate = candidate.rate_hz
-        antenna, cell_m = self._settings.antenna, self._settings.grid.cell_m
+        antenna = self._settings.antenna
+        cell_m = self._settings.find_radius_m or self._settings.grid.cell_m
         scale = (10.0 * antenna.path_loss_exponent / (antenna.sigma_db * math.log(10.0))) ** 2 * rate
         floor = (0.1 * cell_m) ** 2
         ee, en, nn = candidate.cov_m2[0, 0] + floor, candidate.cov_m2[0, 1], candidate.cov_m2[1, 1] + floor
@@ -142,3 +146,25 @@ class Reward:
         return np.asarray(
             worth * (self._tuning.resolve_value * done + self._tuning.reception_value * received)
         )
+
+
+def hearing_of(settings: EngineSettings, robots: Sequence[str], up_m: Mapping[str, float]) -> FloatArray:
+    """(m, 3) of robots for `path_loops.as_far2`: height above the sources, factor of the threshold, elevation's power.
+
+    A pattern by azimuth is left out: planned paths have no headings yet.
+    """
+    ten_beta = 10.0 * settings.antenna.path_loss_exponent
+    kappa = settings.spread.elevation if settings.spread is not None else 0.0
+    ears = np.empty((len(robots), 3))
+    for row, robot in enumerate(robots):
+        radio = settings.receivers.get(robot)
+        higher_db = 0.0
+        if radio is not None:
+            own = settings.antenna.threshold_dbm if radio.threshold_dbm is None else radio.threshold_dbm
+            higher_db = own - radio.offset_db - settings.antenna.threshold_dbm
+        ears[row] = (
+            up_m.get(robot, 0.0) - settings.source_up_m,
+            10.0 ** (2.0 * higher_db / ten_beta),
+            20.0 * kappa / ten_beta,
+        )
+    return ears

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary
 from fieldkit.engine.belief.intensity.mixture import Mixture
+from fieldkit.engine.likelihood.ears_loops import NORTH, UP
 from fieldkit.engine.settings import EngineSettings
-from fieldkit.errors import ConfigError
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
 
 
@@ -24,11 +24,6 @@ class IntensityBelief:
     """See the module. Not thread-safe; deterministic."""
 
     def __init__(self, settings: EngineSettings) -> None:
-        if settings.antenna.pattern_db:
-            raise ConfigError(
-                "belief 'intensity' takes every antenna for one that hears the same all round, and this one is "
-                "directional: choose belief 'spog' with sensing 'directional'"
-            )
         self.settings, self._tuning = settings, settings.tuning.intensity
         self.grid = settings.grid
         self.mixture = Mixture(settings)
@@ -136,10 +131,11 @@ class IntensityBelief:
                 candidate.points_m[index],
                 float(self.model.level_dbm[level]),
             )
-        position = np.concatenate([stored.near_m for stored in claimed])
+        ears = np.concatenate([stored.ears for stored in claimed])
         rss = np.concatenate([stored.rss_dbm for stored in claimed])
-        distance = np.hypot(*(position - candidate.points_m[index]).T)
-        mean = self.settings.antenna.mean_rss_dbm(distance, self.model.power_db[level])
+        point = candidate.points_m[index]
+        distance = np.sqrt(((ears[:, : NORTH + 1] - point) ** 2).sum(axis=1) + ears[:, UP] ** 2)
+        mean = self.model.level_dbm[level] - self.mixture.ears.attenuation_db(point[None], ears)[0]
         squares = ((rss - mean) / self.model.spread_db(distance)) ** 2
         use = ~np.isnan(rss)
         count = int(use.sum())

@@ -18,12 +18,12 @@ from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, merged_gain, summarise
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
 from fieldkit.engine.likelihood import levels_loops
+from fieldkit.engine.likelihood.ears import Ears
+from fieldkit.engine.likelihood.ears_loops import UP
 from fieldkit.engine.likelihood.levels import LevelsModel
-from fieldkit.engine.likelihood.places import Earlier, PlaceNoise, levels_of, redundancy
+from fieldkit.engine.likelihood.places import NOTHING_EARLIER, Earlier, PlaceNoise, levels_of, redundancy
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening
-
-NOTHING_EARLIER = Earlier(np.zeros((0, 2)), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +41,8 @@ class OpenDetection:
     """log intensity with which noise explains it: any strength within 80 dB."""
     near_m: FloatArray
     """(k, 2) where it was heard."""
+    ears: FloatArray
+    """(k, columns) by whom, as the likelihood sees them."""
     rss_dbm: FloatArray
     """(k,) how strongly; nan where at the receiver's ceiling."""
 
@@ -51,13 +53,21 @@ class Mixture:
     def __init__(self, settings: EngineSettings) -> None:
         self.settings, self.tuning = settings, settings.tuning.intensity
         self.grid = settings.grid
+        point_sigma_m = self.tuning.fine_cells * settings.grid.cell_m / np.sqrt(12.0)
+        self.ears = Ears(
+            settings.antenna,
+            settings.source_up_m,
+            settings.spread.elevation if settings.spread is not None else 0.0,
+            settings.receivers,
+            float(point_sigma_m),
+            settings.pose_sigma_m,
+        )
         self.model = LevelsModel(
             settings.antenna,
             levels_of(settings.power_levels_db, settings.spread),
-            float(
-                np.hypot(settings.pose_sigma_m, self.tuning.fine_cells * settings.grid.cell_m / np.sqrt(12.0))
-            ),
+            float(np.hypot(settings.pose_sigma_m, point_sigma_m)),
             settings.tuning.likelihood,
+            self.ears,
         )
         self.exposure_s = np.zeros((self.model.power_db.size, *self.grid.shape))
         """(h - 1, n_north, n_east): P(some robot hears) integrated over the time listened, for each fixed power."""
@@ -89,16 +99,34 @@ class Mixture:
 
     def listen(self, listening: Listening) -> None:
         """Add to the exposure of the ground where robots listened."""
+        ears = self.ears.of_listening(listening)
         if self.places is not None:
-            self.places.listen(self.exposure_s, self.grid.cell_m, listening)
+            self.places.listen(self.exposure_s, self.grid.cell_m, ears, listening.duration_s)
             return
-        levels_loops.add_exposure(
+        model = self.model
+        if not self.settings.receivers and not self.settings.antenna.pattern_db and not ears[:, UP].any():
+            levels_loops.add_exposure(
+                self.exposure_s,
+                self.grid.cell_m,
+                listening.position_m,
+                model.hear,
+                model.step2_m2,
+                model.limit2_m2,
+                listening.duration_s,
+            )
+            return
+        levels_loops.add_exposure_of_ears(
             self.exposure_s,
             self.grid.cell_m,
-            listening.position_m,
-            self.model.hear,
-            self.model.step2_m2,
-            self.model.limit2_m2,
+            ears,
+            np.zeros(len(ears), dtype=np.int64),
+            model.hear[None],
+            model.step2_m2,
+            model.limit2_m2,
+            model.antenna.threshold_dbm,
+            self.ears.law,
+            self.ears.pattern_db,
+            self.ears.best_db,
             listening.duration_s,
         )
 
@@ -128,7 +156,7 @@ class Mixture:
     def _open(self, detection: Detection) -> None:
         number = self._next_detection
         self._next_detection += 1
-        stored = self._store(detection)
+        stored = self._store(self.ears.corrected(detection))
         self.open[number] = stored
         self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
         for candidate in self.candidates:
@@ -149,12 +177,12 @@ class Mixture:
         own = [self.open[other] for other in claimed]
         if not own:
             return self.places.log_likelihood(detection, candidate.points_m, NOTHING_EARLIER)
-        place, rss = (
-            np.concatenate([each.near_m for each in own]),
+        ears, rss = (
+            np.concatenate([each.ears for each in own]),
             np.concatenate([each.rss_dbm for each in own]),
         )
         use = ~np.isnan(rss)
-        return self.places.log_likelihood(detection, candidate.points_m, Earlier(place[use], rss[use]))
+        return self.places.log_likelihood(detection, candidate.points_m, Earlier(ears[use], rss[use]))
 
     def next_ident(self) -> int:
         """An identity no candidate has had."""
@@ -222,6 +250,7 @@ class Mixture:
             scale,
             clutter,
             heard_at,
+            self.ears.of_detection(detection)[detection.heard],
             np.where(detection.saturated, np.nan, detection.rss_dbm)[detection.heard],
         )
 
