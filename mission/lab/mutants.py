@@ -38,7 +38,8 @@ TARGETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("tests/mission/test_kernel_rules.py", "tests/mission/test_kernel.py"),
     ),
     "association": (
-        ("fieldkit/engine/association/detections.py",), ("tests/engine/test_detections.py",)
+        ("fieldkit/engine/association/detections.py",),
+        ("tests/engine/test_association_rules.py", "tests/engine/test_detections.py"),
     ),
 }  # fmt: skip
 """What is changed, and by which tests it is judged."""
