@@ -35,7 +35,8 @@ TARGETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "kernel": (
         ("mission/core/kernel.py", "mission/core/fleet.py", "mission/core/tasks.py", "mission/core/turns.py",
          "mission/core/endings.py"),
-        ("tests/mission/test_kernel_rules.py", "tests/mission/test_kernel.py"),
+        ("tests/mission/test_kernel_parts.py", "tests/mission/test_kernel_belief.py",
+         "tests/mission/test_kernel_rules.py", "tests/mission/test_kernel.py"),
     ),
     "association": (
         ("fieldkit/engine/association/detections.py",),
@@ -117,8 +118,8 @@ def is_killed(root: Path, mutant: Mutant, tests: list[str]) -> bool:
     tests = sorted(tests, key=lambda test: Path(mutant.path).stem not in test)
     with tempfile.TemporaryDirectory(prefix="fieldkit-mutant-") as folder:
         package = mutant.path.split("/", 1)[0]
-        ignore = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(root / package, Path(folder) / package, ignore=ignore)
+        # With the compiled files, which keep their times: only the changed module is compiled anew.
+        shutil.copytree(root / package, Path(folder) / package, ignore=shutil.ignore_patterns("_manual"))
         (Path(folder) / mutant.path).write_text(mutant.source, encoding="utf-8")
         command = [
             sys.executable,

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from fieldkit.engine.grid import Grid
 from fieldkit.messages import (
     EndMission,
     GoTo,
@@ -28,8 +29,9 @@ S = 1_000_000_000
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory: pytest.TempPathFactory) -> KernelSettings:
     kernel = small_mission(tmp_path_factory.mktemp("mission")).kernel
-    rarely = replace(kernel.engine, planning_period_s=1000.0)
-    return replace(kernel, engine=rarely, max_duration_s=1e6, stop_probability_left=None)
+    # What the belief says is scripted: a coarse grid and a light belief cost nothing.
+    rarely = replace(kernel.engine, planning_period_s=1000.0, grid=Grid(10.0, 10.0, 1.0))
+    return replace(kernel, engine=rarely, belief="spog", max_duration_s=1e6, stop_probability_left=None)
 
 
 class Driven:
