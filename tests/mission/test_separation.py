@@ -352,3 +352,65 @@ def test_a_robot_that_has_not_got_going_is_taken_to_stand_too() -> None:
     assert stopped((0.05, 0.05), 1.0) == {"b"}
     assert stopped((0.0, 0.45), 1.0) == set(), "it has got going, and will be gone"
     assert stopped((0.0, 0.26), STARTS_S - 0.1) == set() and stopped((0.0, 0.24), STARTS_S - 0.1) == {"b"}
+
+
+@pytest.mark.parametrize(("late_name", "name"), [("a", "b"), ("b", "a")])
+@pytest.mark.parametrize(("aside_m", "stops"), [(0.99, True), (1.01, False)])
+def test_past_one_that_has_not_got_going_another_keeps_the_least_distance(
+    late_name: str, name: str, aside_m: float, stops: bool
+) -> None:
+    """It passes behind the one that should be gone by then: too near only if that one still stands."""
+    slow = robot(late_name, (0.0, 0.0), (0.0, 20.0), 0.5)
+    passing = robot(name, (1.9, -aside_m), (-5.0, -aside_m), 0.5)
+    passing.velocity_m_s = (-0.5, 0.0)
+    assert too_near(slow, passing) == ({name} if stops else set())
+    slow.velocity_m_s = (0.0, 0.5)
+    assert too_near(slow, passing) == set(), "it has got going"
+
+
+@pytest.mark.parametrize("speed_m_s", [0.5, 0.2])
+def test_a_robot_lags_for_a_while_after_it_was_sent_until_it_makes_half_its_speed(speed_m_s: float) -> None:
+    late = robot("a", (0.0, 0.0), (0.0, 20.0), speed_m_s)
+    half = 0.5 * speed_m_s
+    late.sent_ns, late.now_ns = 10 * S, 14 * S
+    for velocity, lags in (((0.0, half), False), ((half, 0.0), False), ((0.0, 0.99 * half), True)):
+        late.velocity_m_s = velocity
+        assert late.lags(4.0) == lags
+    late.velocity_m_s = (0.8 * half, 0.8 * half)
+    assert not late.lags(4.0), "however it is headed"
+    late.velocity_m_s = (0.0, 0.0)
+    assert late.lags(4.0) and not late.lags(3.999)
+    late.stop()
+    assert not late.lags(4.0), "it is to stand"
+
+
+def aimed_past(distance_m: float, gap_m: float) -> Place:
+    """Where to drive from the origin to come so near to one at (gap, 0)."""
+    sine = distance_m / gap_m
+    return (20.0 * math.sqrt(1.0 - sine**2), 20.0 * sine)
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "before", "comes_m", "both"),
+    [
+        (0.9, False, 0.885, True),
+        (0.9, False, 0.895, False),
+        (1.1, True, 0.985, True),
+        (1.1, True, 0.995, False),
+    ],
+)
+def test_where_stopping_one_is_not_enough_both_stop(
+    gap_m: float, before: bool, comes_m: float, both: bool
+) -> None:
+    """The earlier-named drives past the place where the later-named stops: a centimetre nearer stops it as well."""
+    first = robot("a", (0.0, 0.0), aimed_past(comes_m, gap_m))
+    second = robot("b", (gap_m, 0.0), (-5.0, 0.0))
+    second.too_near = before
+    assert too_near(first, second) == ({"a", "b"} if both else {"b"})
+
+
+def test_one_that_others_steer_is_not_stopped_beside_ours() -> None:
+    theirs = robot("a", (0.0, 0.0))
+    theirs.vehicle = VehicleState(0, "a", "other", True)
+    theirs.velocity_m_s = (0.5, 0.0)
+    assert too_near(theirs, robot("b", (0.9, 0.0), (-5.0, 0.0))) == {"b"}
