@@ -86,6 +86,9 @@ class IntensityTuning(_Table):
     most_points: int = tuned(
         2_600, 100, 1_000_000, "", "points of a candidate; one on more ground has them further apart", MEMORY
     )
+    compared_points: int = tuned(
+        700, 100, 1_000_000, "", "points on which one source and two are compared", MEMORY
+    )
     sweeps: int = tuned(3, 1, 50, "", "passes over the open detections at each new one", HAND)
     claimed: float = tuned(
         0.5, 0.05, 0.95, "", "responsibility from which a detection is a candidate's own", HAND

@@ -43,7 +43,7 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     count, inconsistent = candidate.receptions, candidate.state == "inconsistent"
     whole = _told(mixture, candidate)
     share = _worth(mixture, whole)
-    blank = _fresh(mixture, candidate, share, spacing=1.0)
+    blank = _fresh(mixture, candidate, share, most=mixture.tuning.compared_points)
     single = blank.copy()
     single.set_shares(list(share), list(share.values()))
     pairs = _two(mixture, blank, share)
@@ -120,9 +120,7 @@ def _know_all(mixture: "Mixture", candidate: Candidate) -> None:
             candidate.know(number, mixture.log_likelihood(candidate, number))
 
 
-def _fresh(
-    mixture: "Mixture", candidate: Candidate, share: dict[int, float], *, spacing: float | None = None
-) -> Candidate:
+def _fresh(mixture: "Mixture", candidate: Candidate, share: dict[int, float], *, most: int) -> Candidate:
     """An empty candidate whose cloud covers wherever the given detections may have come from.
 
     All the ground that the candidate holds for possible, and some round it: a posterior that is cut off claims a
@@ -132,7 +130,7 @@ def _fresh(
     half = min(0.75 * mixture.model.reach_m, mixture.tuning.re_estimated_cells * mixture.grid.cell_m)
     whole = np.vstack([centre - half, centre + half, candidate.points_m])
     row0, row1, column0, column1 = mixture.grid.box_around(whole, 0.0)
-    fresh = mixture.new_candidate((column0, column1), (row0, row1), spacing=spacing)
+    fresh = mixture.new_candidate((column0, column1), (row0, row1), spacing=1.0, most=most)
     for number in share:
         fresh.know(number, mixture.model.log_likelihood(mixture.open[number].detection, fresh.points_m))
     return fresh
@@ -141,7 +139,7 @@ def _fresh(
 def _re_estimated(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> Candidate:
     """A new candidate, on the usual points, that claims these shares."""
     claimed = {number: part for number, part in share.items() if part > 0.0}
-    fresh = _fresh(mixture, candidate, claimed, spacing=1.0)
+    fresh = _fresh(mixture, candidate, claimed, most=mixture.tuning.most_points)
     if mixture.places is None:
         fresh.set_shares(list(claimed), list(claimed.values()))
     else:

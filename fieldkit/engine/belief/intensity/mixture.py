@@ -409,17 +409,22 @@ class Mixture:
         return True
 
     def new_candidate(
-        self, columns: tuple[int, int], rows: tuple[int, int], *, spacing: float | None = None
+        self,
+        columns: tuple[int, int],
+        rows: tuple[int, int],
+        *,
+        spacing: float | None = None,
+        most: int | None = None,
     ) -> Candidate:
         """An empty candidate whose cloud covers these cells (half open) and one more all round.
 
-        `spacing` of its points, in cells: whole, or one over a whole number. Where that makes more than `most_points`
-        of them they stand further apart, until the candidate is refined.
+        `spacing` of its points, in cells: whole, or one over a whole number. Where that makes more than `most`
+        (the tuning's `most_points`) of them they stand further apart, until the candidate is refined.
         """
-        spacing = spacing or self.tuning.fine_cells
+        spacing, most = spacing or self.tuning.fine_cells, most or self.tuning.most_points
         columns = (max(0, columns[0] - 1), min(self.grid.n_east, columns[1] + 1))
         rows = (max(0, rows[0] - 1), min(self.grid.n_north, rows[1] + 1))
-        while (columns[1] - columns[0]) * (rows[1] - rows[0]) > self.tuning.most_points * spacing**2:
+        while (columns[1] - columns[0]) * (rows[1] - rows[0]) > most * spacing**2:
             spacing *= 2.0
         fine = self.grid.cell_m * spacing
         east = (np.arange(math.floor(columns[0] / spacing), math.ceil(columns[1] / spacing)) + 0.5) * fine
