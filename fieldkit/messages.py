@@ -225,7 +225,7 @@ class Listening:
         return (self.t1_ns - self.t0_ns) * 1e-9
 
 
-SourceState = Literal["candidate", "found", "inconsistent", "removed"]
+SourceState = Literal["candidate", "found", "inconsistent", "outside", "removed"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,7 +234,8 @@ class SourceEstimate:
 
     `cov_m2` is (2, 2) over (east, north). `region_90` counts the cells of the smallest region that holds
     90 % of the location posterior. `inconsistent`: the readings do not look like what the antenna file
-    predicts, so no position is claimed; `note` says why. `removed`: the operator has taken it away.
+    predicts, so no position is claimed; `note` says why. `outside`: it is not in the field; `note` says where.
+    `removed`: the operator has taken it away.
     """
 
     ident: int
@@ -246,7 +247,7 @@ class SourceEstimate:
     rate_hz: float
     p_exists: float
     p_here: float
-    """Probability that the source is within one cell of (east_m, north_m)."""
+    """Probability that the source is as near to (east_m, north_m) as a find has to be: `found_within_m` or one cell."""
     state: SourceState
     note: str = ""
     power_db: float = float("nan")

@@ -83,11 +83,19 @@ class IntensityTuning(_Table):
     refine_points: int = tuned(
         300, 12, 100_000, "", "points from which on a candidate gets four for each of its own", MEMORY
     )
+    ground_cells: int = tuned(
+        6_000,
+        100,
+        4_000_000,
+        "",
+        "cells of field and surroundings, where the field has not half as many",
+        MEMORY,
+    )
     most_points: int = tuned(
         2_600, 100, 1_000_000, "", "points of a candidate; one on more ground has them further apart", MEMORY
     )
     compared_points: int = tuned(
-        700, 100, 1_000_000, "", "points on which one source and two are compared", MEMORY
+        1_000, 100, 1_000_000, "", "points on which one source and two are compared", MEMORY
     )
     sweeps: int = tuned(3, 1, 50, "", "passes over the open detections at each new one", HAND)
     claimed: float = tuned(
@@ -103,6 +111,9 @@ class IntensityTuning(_Table):
     fewest_points: int = tuned(12, 4, 10_000, "", "points kept, however certain the place", HAND)
     withdraw: float = tuned(
         0.75, 0.1, 1.0, "", "a find is withdrawn under this share of found_probability", HAND
+    )
+    look_outside: float = tuned(
+        0.1, 0.0, 1.0, "", "a source outside the field is looked at while it is so probably inside", HAND
     )
     settled: float = tuned(0.995, 0.5, 1.0, "", "a find so certain needs no further look", HAND)
     max_squared_residual: float = tuned(

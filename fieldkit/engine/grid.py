@@ -11,11 +11,14 @@ from fieldkit.messages import FloatArray
 
 @dataclass(frozen=True)
 class Grid:
-    """A rectangle of square cells whose south-west corner is the origin of the field frame."""
+    """A rectangle of square cells; its south-west corner is the origin of the field frame where not said otherwise."""
 
     size_east_m: float
     size_north_m: float
     cell_m: float
+    west_m: float = 0.0
+    south_m: float = 0.0
+    """Of the south-west corner."""
 
     @cached_property
     def n_east(self) -> int:
@@ -36,12 +39,12 @@ class Grid:
     @cached_property
     def east_m(self) -> FloatArray:
         """(n_east,) cell centres."""
-        return np.asarray((np.arange(self.n_east) + 0.5) * self.cell_m, dtype=float)
+        return np.asarray(self.west_m + (np.arange(self.n_east) + 0.5) * self.cell_m, dtype=float)
 
     @cached_property
     def north_m(self) -> FloatArray:
         """(n_north,) cell centres."""
-        return np.asarray((np.arange(self.n_north) + 0.5) * self.cell_m, dtype=float)
+        return np.asarray(self.south_m + (np.arange(self.n_north) + 0.5) * self.cell_m, dtype=float)
 
     @cached_property
     def centres_m(self) -> FloatArray:
@@ -51,15 +54,15 @@ class Grid:
 
     def cell_of(self, east_m: float, north_m: float) -> tuple[int, int]:
         """(row, column) of the cell that holds a point; points outside belong to the nearest cell."""
-        row = min(self.n_north - 1, max(0, math.floor(north_m / self.cell_m)))
-        column = min(self.n_east - 1, max(0, math.floor(east_m / self.cell_m)))
+        row = min(self.n_north - 1, max(0, math.floor((north_m - self.south_m) / self.cell_m)))
+        column = min(self.n_east - 1, max(0, math.floor((east_m - self.west_m) / self.cell_m)))
         return row, column
 
     def contains(self, east_m: float, north_m: float, margin_m: float = 0.0) -> bool:
         """Whether a point lies in the field, `margin_m` inside its border."""
         return (
-            margin_m <= east_m <= self.size_east_m - margin_m
-            and margin_m <= north_m <= self.size_north_m - margin_m
+            margin_m <= east_m - self.west_m <= self.size_east_m - margin_m
+            and margin_m <= north_m - self.south_m <= self.size_north_m - margin_m
         )
 
     def box_around(self, points_m: FloatArray, radius_m: float) -> tuple[int, int, int, int]:

@@ -28,6 +28,7 @@ _COLOURS = {
     "found": (0.1, 0.6, 0.2),
     "candidate": (0.95, 0.6, 0.1),
     "inconsistent": (0.6, 0.6, 0.6),
+    "outside": (0.3, 0.5, 0.8),
     "removed": (0.4, 0.4, 0.5),
 }
 

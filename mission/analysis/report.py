@@ -77,6 +77,7 @@ def _page(name: str, history: History, covered: Coverage, refined: list[Refined]
         duration=words.minutes(history.duration_s),
         cards=_cards(history, covered),
         found=words.found(history),
+        within=words.found_within(history),
         silent=words.silent(history, covered),
         fit_words=words.fit(fit),
         ending=words.ending(history),

@@ -23,21 +23,30 @@ def found(history: History) -> list[str]:
         f"In {minutes(history.duration_s)} the team heard {heard} transmission{'s' * (heard > 1)} and found "
         f"{count or 'no'} source{'s' * (count != 1)}."
     )
+    within = found_within(history)
     for source in history.found:
         sigma = float(np.sqrt(np.trace(source.cov_m2) / 2))
         sentences.append(
             f"Source {source.ident} is at {source.east_m:.2f} m east, {source.north_m:.2f} m north (standard deviation "
-            f"{sigma:.2f} m): {percent(source.p_here)} sure within one cell, from {source.receptions:.0f} receptions."
+            f"{sigma:.2f} m): {percent(source.p_here)} sure within {within}, from {source.receptions:.0f} receptions."
         )
     for source in history.final:
         if source.state == "inconsistent":
             sentences.append(f"No position is claimed for source {source.ident}: {source.note}.")
+        elif source.state == "outside":
+            sentences.append(f"Source {source.ident} is {source.note}: it does not count as found.")
         elif source.state == "candidate" and source.p_exists > 0.5:
             sentences.append(
                 f"Candidate {source.ident} near {source.east_m:.1f} m east, {source.north_m:.1f} m north is not "
-                f"resolved ({source.receptions:.1f} receptions; {percent(source.p_here)} sure within one cell)."
+                f"resolved ({source.receptions:.1f} receptions; {percent(source.p_here)} sure within {within})."
             )
     return sentences
+
+
+def found_within(history: History) -> str:
+    """How near to its estimate a find has to be."""
+    radius_m = history.mission.kernel.engine.find_radius_m
+    return "one cell" if radius_m is None else f"{radius_m:.2g} m"
 
 
 def silent(history: History, covered: Coverage) -> list[str]:

@@ -49,7 +49,8 @@ expected = {expected:.1f}               # roughly how many there may be; not a l
 
 [engine]
 {engine_lines}
-found_probability = {found_probability}      # of being within one cell of the estimate
+found_probability = {found_probability}      # of being within found_within_m of the estimate
+# found_within_m = 2.0       # else a tenth of the typical range, at least 2 m, at most a third of the range
 min_receptions = 4
 planning_period_s = {planning_period_s:.1f}
 pose_sigma_m = {given.POSE_SIGMA_M.default}          # of each coordinate of the robots' positions

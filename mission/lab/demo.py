@@ -91,6 +91,7 @@ def prepare(folder: Path, seed: int) -> tuple[Mission, tuple[TransientSource, ..
         planning_period_s=20.0,
         window_s=0.25,
         found_probability=0.95,  # the paper's 0.9 for each would leave a tenth of three-source missions one cell off
+        engine={"found_within_m": CELL_M},
         max_duration_s=1500.0,
         sources_found=N_SOURCES,
         fence_margin_m=0.2,

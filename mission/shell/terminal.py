@@ -89,7 +89,7 @@ def _teams(progress: Progress) -> list[tuple[str, str]]:
 
 def _by_interest(sources: Sequence[SourceEstimate]) -> list[SourceEstimate]:
     """Finds first, then by how surely a source is there; candidates that are hardly one are left out."""
-    rank = {"found": 0, "removed": 1, "inconsistent": 2, "candidate": 3}
+    rank = {"found": 0, "removed": 1, "outside": 2, "inconsistent": 3, "candidate": 4}
     seen = [s for s in sources if s.state != "candidate" or s.p_exists >= LEAST_P]
     return sorted(seen, key=lambda s: (rank[s.state], -s.p_exists, s.ident))
 

@@ -25,7 +25,7 @@ class Unresolved:
     receptions: float
     """Expected number of transmissions heard from it."""
     p_here: float
-    """Probability that it lies within one cell of its estimate."""
+    """Probability that it lies as near to its estimate as a find has to."""
     state: str
     """As in `SourceEstimate.state`."""
     may_be_two: bool

@@ -134,17 +134,19 @@ class LevelsModel:
         varying = best + np.log(np.exp(known - best).mean(axis=0))
         return np.concatenate([fixed, varying[None, :]])
 
-    def known_log_likelihood(self, detection: Detection, points_m: FloatArray) -> FloatArray:
-        """(known levels, n): the same under the known levels alone."""
-        return self._fixed_log_likelihood(detection, points_m, self.level_dbm[: self.n_known])
+    def known_log_likelihood(
+        self, detection: Detection, points_m: FloatArray, ears: Ears | None = None
+    ) -> FloatArray:
+        """(known levels, n): the same under the known levels alone; `ears` for points that are further apart."""
+        return self._fixed_log_likelihood(detection, points_m, self.level_dbm[: self.n_known], ears)
 
     def _fixed_log_likelihood(
-        self, detection: Detection, points_m: FloatArray, level_dbm: FloatArray
+        self, detection: Detection, points_m: FloatArray, level_dbm: FloatArray, ears: Ears | None = None
     ) -> FloatArray:
         fixed = np.empty((level_dbm.size, points_m.shape[0]))
         levels_loops.levels_loglik(
             np.ascontiguousarray(points_m),
-            self.ears.of_detection(detection),
+            (ears or self.ears).of_detection(detection),
             detection.rss_dbm,
             detection.saturated.astype(float),
             level_dbm,

@@ -207,7 +207,7 @@ function drawSources(frame) {
     pen.strokeStyle = colour; pen.lineWidth = 2.5; cross(x, y, is.removed); pen.stroke();
     const right = x > view.width - 70; // near the edge words go to the other side
     pen.textAlign = right ? "right" : "left"; pen.textBaseline = "bottom";
-    const words = is.removed ? "removed" : source.state === "inconsistent" ? "?" : `${Math.round(100 * source.p)} %`;
+    const words = is.removed ? "removed" : source.state === "inconsistent" ? "?" : source.state === "outside" ? "outside" : `${Math.round(100 * source.p)} %`;
     halo(`${source.ident}  ${words}`, x + (right ? -9 : 9), y - 5, colour, "700 12px system-ui");
   }
 }

@@ -37,7 +37,7 @@ class IntensityBelief:
     @property
     def exposure_s(self) -> FloatArray:
         """(h - 1, n_north, n_east): P(some robot hears) integrated over the time listened, by power hypothesis."""
-        return self.mixture.exposure_s
+        return self.mixture.ground.of_field(self.mixture.exposure_s)
 
     def listen(self, listening: Listening) -> None:
         """Take in a stretch of listening: silence where nothing is detected."""
@@ -66,6 +66,13 @@ class IntensityBelief:
         for candidate in self.candidates:
             summary = self.mixture.summary(candidate)
             enough = candidate.receptions >= self.settings.min_receptions - 0.1
+            if enough and summary.p_in_field < 0.5:
+                candidate.certain_since = None
+                candidate.state = "outside"
+                candidate.note = self.mixture.ground.said_of(summary.mean_m)
+                continue
+            if candidate.state == "outside":
+                candidate.state, candidate.note = "candidate", ""
             placed = summary.p_here >= (
                 threshold if candidate.state != "found" else self._tuning.withdraw * threshold
             )
@@ -170,20 +177,28 @@ class IntensityBelief:
         return estimates
 
     def _cells_of(self, candidate: Candidate) -> tuple[NDArray[np.intp], FloatArray]:
-        """Flat cell indices and the posterior of each."""
+        """Flat indices of cells of the field, and the posterior of each; what lies outside is left out."""
         place = candidate.posterior().sum(axis=0)
-        column = np.clip((candidate.points_m[:, 0] / self.grid.cell_m).astype(int), 0, self.grid.n_east - 1)
-        row = np.clip((candidate.points_m[:, 1] / self.grid.cell_m).astype(int), 0, self.grid.n_north - 1)
-        flat = row * self.grid.n_east + column
+        column = np.floor(candidate.points_m[:, 0] / self.grid.cell_m).astype(int)
+        row = np.floor(candidate.points_m[:, 1] / self.grid.cell_m).astype(int)
+        inside = (row >= 0) & (row < self.grid.n_north) & (column >= 0) & (column < self.grid.n_east)
+        flat = (row * self.grid.n_east + column)[inside]
         cells = np.unique(flat)
-        return cells, np.asarray(np.bincount(np.searchsorted(cells, flat), weights=place), dtype=float)
+        weight = np.bincount(np.searchsorted(cells, flat), weights=place[inside], minlength=cells.size)
+        return cells, np.asarray(weight, dtype=float)
 
     def region_90(self, candidate: Candidate) -> set[tuple[int, int]]:
-        """The cells of the smallest region that holds 90 % of the location posterior."""
-        cells, place = self._cells_of(candidate)
-        order = np.argsort(-place, kind="stable")
-        needed = int(np.searchsorted(np.cumsum(place[order]), 0.9)) + 1
-        return {(int(c) // self.grid.n_east, int(c) % self.grid.n_east) for c in cells[order[:needed]]}
+        """The cells (row, column) of the smallest region that holds 90 % of the location posterior.
+
+        Those outside the field have numbers that no cell of it has.
+        """
+        place = candidate.posterior().sum(axis=0)
+        at = np.floor(candidate.points_m[:, ::-1] / self.grid.cell_m).astype(int)
+        cells, which = np.unique(at, axis=0, return_inverse=True)
+        weight = np.bincount(which.ravel(), weights=place)
+        order = np.argsort(-weight, kind="stable")
+        needed = int(np.searchsorted(np.cumsum(weight[order]), 0.9)) + 1
+        return {(int(row), int(column)) for row, column in cells[order[:needed]]}
 
     def _region_90(self, candidate: Candidate) -> int:
         return len(self.region_90(candidate))
@@ -192,7 +207,7 @@ class IntensityBelief:
         """(n_north, n_east) probability that the cell holds a source, heard or not."""
         b = self.mixture.rate_prior_s
         unseen = (self.settings.expected_sources / self.grid.n_cells) * (
-            b / (b + self.mixture.known_exposure_s().mean(axis=0))
+            b / (b + self.mixture.ground.of_field(self.mixture.known_exposure_s().mean(axis=0)))
         )
         log_absent = np.log1p(-np.minimum(unseen, 0.999)).ravel()
         for candidate in self.candidates:
@@ -203,7 +218,8 @@ class IntensityBelief:
 
     def activity(self) -> FloatArray:
         """(n_north, n_east), sums to 1: expected rate of transmissions by cell."""
-        rate = self.mixture.unknown_rate().ravel()
+        ground = self.mixture.ground
+        rate = ground.of_field(self.mixture.unknown_rate()).ravel() / ground.factor**2
         for candidate in self.candidates:
             cells, place = self._cells_of(candidate)
             hz = (self._tuning.rate_shape + candidate.receptions) / (
@@ -215,10 +231,11 @@ class IntensityBelief:
 
     def probability_left(self) -> float:
         """P(at least one source of the reference rate not found): unheard ground, and candidates not yet found."""
-        none_left = float(np.exp(-self.mixture.another_source().sum()))
+        none_left = float(np.exp(-self._another_source().sum()))
         for candidate in self.candidates:
             if candidate.state != "found":
-                none_left *= 1.0 - min(1.0, candidate.receptions)
+                in_field = self.mixture.summary(candidate).p_in_field
+                none_left *= 1.0 - min(1.0, candidate.receptions) * in_field
             elif candidate.two_source is not None:
                 none_left *= 1.0 - candidate.two_source.probability
         return float(1.0 - none_left)
@@ -227,8 +244,13 @@ class IntensityBelief:
 
     def ground_value(self) -> FloatArray:
         """(n_north, n_east) expected number of sources of the reference rate that are not among the candidates."""
-        result: FloatArray = np.minimum(self.mixture.another_source().sum(axis=0), 0.5)
+        result: FloatArray = np.minimum(self._another_source(), 0.5)
         return result
+
+    def _another_source(self) -> FloatArray:
+        """(n_north, n_east) the same, of the field alone, without a limit."""
+        ground = self.mixture.ground
+        return ground.of_field(self.mixture.another_source().sum(axis=0)) / ground.factor**2
 
     def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
         """What is worth another look: candidates not found, finds that may be two sources or lie a cell off.
@@ -241,6 +263,8 @@ class IntensityBelief:
             if two_source is not None and not two_source.undecided:
                 two_source = None
             summary = self.mixture.summary(candidate)
+            if candidate.state == "outside" and summary.p_in_field < self._tuning.look_outside:
+                continue
             if candidate.state == "found" and two_source is None and summary.p_here >= self._tuning.settled:
                 continue
             posterior = candidate.posterior()

@@ -195,6 +195,7 @@ class Summary:
     power_db: float
     p_outside: float
     exposure_s: float
+    p_in_field: float
 
 
 def summarise(
@@ -204,10 +205,12 @@ def summarise(
     outside: FloatArray,
     cell_m: float,
     radius_m: float | None = None,
+    in_field: NDArray[np.bool_] | None = None,
 ) -> Summary:
     """Mean place, covariance, and the probability of being within one cell (or a radius) of the mean.
 
-    `power_db` (h - 1,) of the fixed hypotheses; the varying one counts as their known mean.
+    `power_db` (h - 1,) of the fixed hypotheses; the varying one counts as their known mean. `in_field` (n,) says which
+    points lie in the field; None: all.
     """
     place = posterior.sum(axis=0)
     mean = place @ candidate.points_m
@@ -227,6 +230,7 @@ def summarise(
         power,
         float(by_power[outside].sum()),
         candidate.mean_exposure_s(posterior),
+        1.0 if in_field is None else float(place[in_field].sum()),
     )
 
 

@@ -59,7 +59,7 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
         best = pairs[int(np.argmax(scores))]
         parts = [_re_estimated(mixture, candidate, _undone(part.share, share, whole)) for part in best]
     else:
-        moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.grid.cell_m
+        moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.field.cell_m
         if not (moved or inconsistent):
             return False
         parts = [_re_estimated(mixture, candidate, whole)]
@@ -127,7 +127,7 @@ def _fresh(mixture: "Mixture", candidate: Candidate, share: dict[int, float], *,
     certainty that nobody has.
     """
     centre = mixture.summary(candidate).mean_m
-    half = min(0.75 * mixture.model.reach_m, mixture.tuning.re_estimated_cells * mixture.grid.cell_m)
+    half = min(0.75 * mixture.model.reach_m, mixture.tuning.re_estimated_cells * mixture.field.cell_m)
     whole = np.vstack([centre - half, centre + half, candidate.points_m])
     row0, row1, column0, column1 = mixture.grid.box_around(whole, 0.0)
     fresh = mixture.new_candidate((column0, column1), (row0, row1), spacing=1.0, most=most)

@@ -8,7 +8,7 @@ supports any more is dropped. `hypotheses` re-tells the history of a candidate t
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,10 +16,11 @@ from fieldkit.engine.belief.intensity import hypotheses as hypotheses
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, merged_gain, summarise
+from fieldkit.engine.belief.intensity.ground import ground_of
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears import Ears
-from fieldkit.engine.likelihood.ears_loops import UP
+from fieldkit.engine.likelihood.ears_loops import NORTH, UP
 from fieldkit.engine.likelihood.levels import LevelsModel
 from fieldkit.engine.likelihood.places import NOTHING_EARLIER, Earlier, PlaceNoise, levels_of, redundancy
 from fieldkit.engine.settings import EngineSettings
@@ -52,7 +53,9 @@ class Mixture:
 
     def __init__(self, settings: EngineSettings) -> None:
         self.settings, self.tuning = settings, settings.tuning.intensity
-        self.grid = settings.grid
+        self.field = settings.grid
+        self.ground = ground_of(settings, self.tuning.ground_cells)
+        self.grid = self.ground.grid
         point_sigma_m = self.tuning.fine_cells * settings.grid.cell_m / np.sqrt(12.0)
         self.ears = Ears(
             settings.antenna,
@@ -70,7 +73,9 @@ class Mixture:
             self.ears,
         )
         self.exposure_s = np.zeros((self.model.power_db.size, *self.grid.shape))
-        """(h - 1, n_north, n_east): P(some robot hears) integrated over the time listened, for each fixed power."""
+        """(h - 1, rows, columns of the ground): P(some robot hears) integrated over the time listened, by power."""
+        self._cell_ears = replace(self.ears, point_sigma_m=float(point_sigma_m * self.ground.factor))
+        """As the ears, for likelihoods over the ground's cells."""
         self.places = (
             PlaceNoise(self.model, settings.spread, settings.reference_rate_hz)
             if settings.spread is not None and settings.place_noise
@@ -100,6 +105,7 @@ class Mixture:
     def listen(self, listening: Listening) -> None:
         """Add to the exposure of the ground where robots listened."""
         ears = self.ears.of_listening(listening)
+        ears[:, : NORTH + 1] -= self.grid.west_m, self.grid.south_m  # loops count cells from their own corner
         if self.places is not None:
             self.places.listen(self.exposure_s, self.grid.cell_m, ears, listening.duration_s)
             return
@@ -108,7 +114,7 @@ class Mixture:
             levels_loops.add_exposure(
                 self.exposure_s,
                 self.grid.cell_m,
-                listening.position_m,
+                np.ascontiguousarray(ears[:, : NORTH + 1]),
                 model.hear,
                 model.step2_m2,
                 model.limit2_m2,
@@ -237,7 +243,7 @@ class Mixture:
         row0, row1, column0, column1 = self.grid.box_around(heard_at, self.model.reach_m)
         east, north = self.grid.east_m[column0:column1], self.grid.north_m[row0:row1]
         points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
-        log = self.model.known_log_likelihood(detection, points)
+        log = self.model.known_log_likelihood(detection, points, self._cell_ears)
         scale = float(log.max())
         like = np.exp(log - scale)
         clutter = float(np.log(self.tuning.clutter_hz) - len(heard_at) * np.log(80.0))
@@ -262,8 +268,9 @@ class Mixture:
 
     def exposure_at(self, points_m: FloatArray) -> FloatArray:
         """(h, n); the varying hypothesis takes the mean of the known levels."""
-        column = np.clip((points_m[:, 0] / self.grid.cell_m).astype(int), 0, self.grid.n_east - 1)
-        row = np.clip((points_m[:, 1] / self.grid.cell_m).astype(int), 0, self.grid.n_north - 1)
+        at = (points_m - (self.grid.west_m, self.grid.south_m)) / self.grid.cell_m
+        column = np.clip(at[:, 0].astype(int), 0, self.grid.n_east - 1)
+        row = np.clip(at[:, 1].astype(int), 0, self.grid.n_north - 1)
         fixed = self.exposure_s[:, row, column]
         return np.concatenate([fixed, fixed[: self.model.n_known].mean(axis=0)[None, :]])
 
@@ -274,7 +281,7 @@ class Mixture:
     def unknown_rate(self) -> FloatArray:
         """(n_north, n_east) expected transmissions per second and cell from sources not yet known."""
         exposure = self.known_exposure_s().mean(axis=0)
-        here = self.settings.expected_sources / self.grid.n_cells
+        here = self.settings.expected_sources * self.ground.sources_a_cell
         b = self.rate_prior_s
         result: FloatArray = (
             here * (b / (b + exposure)) ** self.tuning.rate_shape * self.tuning.rate_shape / (b + exposure)
@@ -329,7 +336,7 @@ class Mixture:
         self.explained = dict(zip(numbers, left.explained.tolist(), strict=True))
         for candidate in self.candidates:
             candidate.prune()
-            coarse = candidate.spacing_m > 1.01 * self.tuning.fine_cells * self.grid.cell_m
+            coarse = candidate.spacing_m > 1.01 * self.tuning.fine_cells * self.field.cell_m
             if coarse and candidate.points_m.shape[0] <= self.tuning.refine_points:
                 self._refine(candidate)
                 self._summaries.pop(candidate.ident, None)
@@ -342,8 +349,9 @@ class Mixture:
                 candidate.posterior(),
                 self.model.power_db,
                 self.model.outside,
-                self.grid.cell_m,
+                self.field.cell_m,
                 self.settings.find_radius_m,
+                self.ground.has_field(candidate.points_m),
             )
         return self._summaries[candidate.ident]
 
@@ -365,13 +373,13 @@ class Mixture:
             self.settings.reference_rate_hz,
             ratio,
         )
-        prior = self.settings.expected_sources / self.grid.n_cells / self.model.n_known
+        prior = self.settings.expected_sources * self.ground.sources_a_cell / self.model.n_known
         return np.asarray(prior * np.exp(np.minimum(ratio, 50.0)))
 
     def _birth(self) -> bool:
         """A candidate where one more source explains what was heard better than none; whether there was one."""
         expected = self.another_source()
-        prior = self.settings.expected_sources / self.grid.n_cells / self.model.n_known
+        prior = self.settings.expected_sources * self.ground.sources_a_cell / self.model.n_known
         telling = np.where(expected > prior, expected, 0.0)
         if telling.sum() < self.tuning.birth_odds:
             return False
@@ -431,8 +439,9 @@ class Mixture:
         north = (np.arange(math.floor(rows[0] / spacing), math.ceil(rows[1] / spacing)) + 0.5) * fine
         east = east[east < self.grid.n_east * self.grid.cell_m]
         north = north[north < self.grid.n_north * self.grid.cell_m]
+        east, north = east + self.grid.west_m, north + self.grid.south_m
         points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
-        density = self.settings.expected_sources / self.grid.n_cells * spacing**2
+        density = self.settings.expected_sources * self.ground.sources_a_cell * spacing**2
         prior = np.repeat(self.model.log_prior[:, None] + np.log(density), points.shape[0], axis=1)
         return Candidate(
             self.next_ident(),
@@ -515,7 +524,7 @@ class Mixture:
     def _close(self, first: Candidate, second: Candidate) -> bool:
         a, b = self.summary(first), self.summary(second)
         spread = np.sqrt(np.trace(a.cov_m2)) + np.sqrt(np.trace(b.cov_m2))
-        result: bool = float(np.hypot(*(a.mean_m - b.mean_m))) < 3.0 * self.grid.cell_m + 2.0 * spread
+        result: bool = float(np.hypot(*(a.mean_m - b.mean_m))) < 3.0 * self.field.cell_m + 2.0 * spread
         return result
 
     def remove(self, candidate: Candidate) -> None:

@@ -1,0 +1,72 @@
+"""The ground on which sources are held for possible: the field, and one longest range beyond its border.
+
+A transmitter outside the field is heard inside as well. A belief that ends at the border explains it by a source at
+the border; one that goes on beyond says "outside". Where ranges are much longer than the field the ground's cells are
+larger than the field's, as blurred as hearing over such a range is; candidates are refined down to the field's own.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fieldkit.engine.grid import Grid
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """The ground's own grid, of cells `factor` times as large as the field's, `beyond` of them outside each border."""
+
+    field: Grid
+    grid: Grid
+    factor: int
+    beyond: int
+
+    def of_field(self, values: FloatArray) -> FloatArray:
+        """(..., n_north, n_east of the field) of values (..., n_north, n_east of the ground): that of its cell."""
+        rows = self.beyond + np.arange(self.field.n_north) // self.factor
+        columns = self.beyond + np.arange(self.field.n_east) // self.factor
+        return np.asarray(values[..., rows[:, None], columns[None, :]])
+
+    def has_field(self, points_m: FloatArray) -> NDArray[np.bool_]:
+        """(n,) whether points (n, 2) lie in the field."""
+        size_m = np.array([self.field.size_east_m, self.field.size_north_m])
+        return np.asarray(((points_m >= 0.0) & (points_m <= size_m)).all(axis=1))
+
+    @property
+    def sources_a_cell(self) -> float:
+        """Share of the field that a cell of the ground is as large as."""
+        return self.factor**2 / self.field.n_cells
+
+    def said_of(self, place_m: FloatArray) -> str:
+        """Where a place outside the field is, seen from its middle."""
+        size_m = np.array([self.field.size_east_m, self.field.size_north_m])
+        east_m, north_m = place_m - size_m / 2.0
+        beyond_m = float(np.hypot(*(np.clip(place_m, 0.0, size_m) - place_m)))
+        bearing_deg = math.degrees(math.atan2(east_m, north_m)) % 360.0
+        return f"outside the field, about {beyond_m:.0f} m beyond its border, at {bearing_deg:.0f} deg from its middle"
+
+
+def ground_of(settings: EngineSettings, most_cells: int) -> Ground:
+    """The ground of a mission, in no more than so many cells or twice those of the field."""
+    field = settings.grid
+    margin_m = float(np.max(settings.antenna.nominal_range_m(np.array(settings.power_levels_db))))
+    margin_m = min(margin_m, MOST_SIDES * max(field.size_east_m, field.size_north_m))
+    factor = 1
+    while True:
+        cell_m = factor * field.cell_m
+        beyond = math.ceil(margin_m / cell_m)
+        n_east = math.ceil(field.n_east / factor) + 2 * beyond
+        n_north = math.ceil(field.n_north / factor) + 2 * beyond
+        if n_east * n_north <= max(most_cells, 2 * field.n_cells) or factor > 64:
+            west_m = -beyond * cell_m
+            grid = Grid(n_east * cell_m, n_north * cell_m, cell_m, west_m, west_m)
+            return Ground(field, grid, factor, beyond)
+        factor += 1
+
+
+MOST_SIDES = 2.0
+"""No source is sought further outside than so many of the field's longer sides: that is another field."""

@@ -1,0 +1,76 @@
+"""Sources beyond the border: heard inside, and said to be outside; never drawn to the border."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fieldkit.channel.spread import assumed, known_power
+from fieldkit.engine.belief.intensity.belief import IntensityBelief
+from fieldkit.engine.belief.intensity.ground import ground_of
+from fieldkit.engine.grid import Grid
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import Detection, Listening
+from mission.lab.study.trust import antenna
+
+RADIO = antenna()
+FIELD = EngineSettings(
+    Grid(12.0, 12.0, 0.5),
+    RADIO,
+    (("a", "b"),),
+    (0.0,),
+    spread=known_power(assumed(RADIO)),
+    found_within_m=1.0,
+)
+S = 1_000_000_000
+
+
+def searched(source: tuple[float, float], seed: int, rounds: int = 120) -> IntensityBelief:
+    """Two robots anywhere in the field, the whole of it; a transmission every ten seconds."""
+    belief, rng = IntensityBelief(FIELD), np.random.default_rng(seed)
+    for k in range(rounds):
+        place = rng.uniform(0.3, 11.7, (2, 2))
+        belief.listen(Listening(10 * k * S, 10 * (k + 1) * S, ("a", "b"), place))
+        z = np.round(RADIO.mean_rss_dbm(np.hypot(*(place - source).T)) + rng.normal(0.0, RADIO.sigma_db, 2))
+        z = np.where(z > RADIO.threshold_dbm, z, np.nan)
+        if not np.isnan(z).all():
+            belief.detect(Detection(10 * k * S, ("a", "b"), place, np.zeros(2), z, np.zeros(2, bool)))
+    return belief
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_source_two_metres_outside_is_said_to_be_outside(seed: int) -> None:
+    belief = searched((14.0, 6.0), seed)
+    heard = [each for each in belief.sources() if each.receptions > 2.5]
+    assert [each.state for each in heard] == ["outside"]
+    assert heard[0].east_m > 12.0 and "outside the field" in heard[0].note
+    assert np.hypot(heard[0].east_m - 14.0, heard[0].north_m - 6.0) < 2.0
+    assert belief.probability_left() < 0.3  # it is none of the field's own
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_source_just_inside_is_found_inside(seed: int) -> None:
+    belief = searched((11.0, 6.0), seed)
+    (found,) = [each for each in belief.sources() if each.state == "found"]
+    assert np.hypot(found.east_m - 11.0, found.north_m - 6.0) < 1.0
+
+
+def test_what_planners_and_pages_see_is_of_the_fields_own_shape() -> None:
+    belief = searched((14.0, 6.0), 1, rounds=20)
+    for values in (belief.presence(), belief.activity(), belief.ground_value(), belief.exposure_s[0]):
+        assert values.shape == FIELD.grid.shape and np.isfinite(values).all()
+    assert belief.activity().sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("most", [100_000, 3_000, 900])
+def test_the_ground_reaches_one_longest_range_beyond_in_as_few_cells_as_allowed(most: int) -> None:
+    settings = replace(FIELD, grid=Grid(12.0, 8.0, 0.5), power_levels_db=(-4.0, 3.0))
+    ground = ground_of(settings, most)
+    reach_m = float(RADIO.nominal_range_m(3.0))
+    grid = ground.grid
+    assert grid.west_m <= -reach_m and grid.south_m + grid.size_north_m >= 8.0 + reach_m
+    assert grid.n_cells <= max(most, 2 * settings.grid.n_cells) and grid.n_cells * ground.sources_a_cell > 1.0
+    middles = np.zeros(grid.shape)
+    middles[:] = grid.east_m
+    assert np.abs(ground.of_field(middles) - settings.grid.east_m).max() <= grid.cell_m / 2
+    assert grid.cell_of(*grid.centres_m[17]) == (17 // grid.n_east, 17 % grid.n_east)
