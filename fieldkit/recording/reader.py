@@ -15,7 +15,16 @@ from fieldkit.errors import RecordingError
 from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate, Tick
 from fieldkit.recording import codec
 from fieldkit.recording.records import NO_INDEX, Contents, is_whole, walk
-from fieldkit.recording.schema import BY_NAME, HEADER, RESULT, SCHEMA, BeliefDigest, Note, Topic
+from fieldkit.recording.schema import (
+    BY_NAME,
+    HEADER,
+    OLDEST_SCHEMA,
+    RESULT,
+    SCHEMA,
+    BeliefDigest,
+    Note,
+    Topic,
+)
 from fieldkit.recording.writer import part_path
 
 logger = logging.getLogger(__name__)
@@ -326,9 +335,16 @@ def _header(path: Path) -> dict[str, Any]:
             f"{path}: is MCAP but not a fieldkit recording (it has no {HEADER.name} message)"
         )
     schema = header.get("schema")
+    made = f"it was written by fieldkit {header.get('fieldkit', 'of an unknown version')}"
     if not isinstance(schema, int) or schema > SCHEMA:
         raise RecordingError(
-            f"{path}: recording schema {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
+            f"{path}: recording schema {schema} is newer than this fieldkit knows ({SCHEMA}); {made}: "
+            "update fieldkit"
+        )
+    if schema < OLDEST_SCHEMA:
+        raise RecordingError(
+            f"{path}: recording schema {schema} is older than this fieldkit reads ({OLDEST_SCHEMA}); {made}: "
+            "read it with that version"
         )
     return header
 

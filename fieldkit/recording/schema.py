@@ -34,6 +34,8 @@ from fieldkit.messages import (
 from fieldkit.recording.codec import array_scalar
 
 SCHEMA = 1
+OLDEST_SCHEMA = 1
+"""The first that is read still."""
 PROFILE = "fieldkit"
 HEADER_COPY = "header.json"
 """Attachment with the header message once more, and the number of each of our channels."""

@@ -25,6 +25,7 @@ from fieldkit.errors import ConfigError
 from fieldkit.geo import FieldFrame
 from fieldkit.geometry.polygons import KeepOut
 from fieldkit.tuning import Tuning
+from mission.core.defaults import left_open
 from mission.core.kernel_settings import KernelSettings
 from mission.core.tables import MissionFile, rectangle
 from mission.safety.limits import BatteryLimits, RadioLimits, SafetySettings
@@ -48,6 +49,11 @@ class Mission:
     safety: SafetySettings
     where: str
     """What to call it in messages: its path."""
+
+    @property
+    def recorded_settings(self) -> dict[str, Any]:
+        """What a recording needs beside the two files, to be replayed by a fieldkit with other defaults."""
+        return {"tuning": self.kernel.engine.tuning.tables(), "defaults": left_open(self.file)}
 
     @property
     def fence_m(self) -> tuple[tuple[float, float], ...]:

@@ -142,7 +142,7 @@ def fly_simulated(
                 antenna_toml=mission.antenna_text,
                 metadata={
                     **metadata,
-                    "tuning": mission.kernel.engine.tuning.tables(),
+                    **mission.recorded_settings,
                     "truth": [_plain(source) for source in truth.sources],
                 },
                 frame=mission.frame,

@@ -16,6 +16,7 @@ from fieldkit.messages import Command, Event
 from fieldkit.recording.reader import Recording, Step, open_recording
 from fieldkit.recording.schema import software
 from fieldkit.tuning import Tuning
+from mission.core.defaults import filled_in
 from mission.core.kernel import Kernel, Outcome, state_digest
 from mission.core.mission_file import Mission, assemble, parse_mission
 from mission.safety.rules import Safety
@@ -53,17 +54,20 @@ def recorded_mission(
             f"{recording.path}: it holds no mission and antenna file, so it cannot be replayed"
         )
     where = f"{recording.path} (recorded mission.toml)"
-    file = parse_mission(recording.mission_toml, where)
+    made = f"fieldkit {recording.fieldkit_version}, which made it, can replay it"
+    try:
+        text = filled_in(recording.mission_toml, recording.metadata.get("defaults", {}))
+        tuning = Tuning().with_tables(recording.metadata.get("tuning", {}))
+    except ValueError as error:
+        raise RecordingError(f"{where}: {error}; {made}") from error
+    try:
+        file = parse_mission(text, where)
+    except ConfigError as error:
+        raise RecordingError(f"{error}; {made}") from error
     if antenna is None:
         antenna_text = recording.antenna_toml
         antenna = parse_antenna(tomllib.loads(antenna_text), f"{recording.path} (recorded antenna.toml)")
-    try:
-        tuning = Tuning().with_tables(recording.metadata.get("tuning", {}))
-    except ValueError as error:
-        raise RecordingError(
-            f"{where}: {error}; fieldkit {recording.fieldkit_version}, which made it, can replay it"
-        ) from error
-    return assemble(file, recording.mission_toml, antenna, antenna_text, where, tuning)
+    return assemble(file, text, antenna, antenna_text, where, tuning)
 
 
 def resumable(recording: Recording) -> Mission:
@@ -186,7 +190,10 @@ class _Expected:
             for name in made
             if made[name] != here.get(name)
         ]
-        return f"; it was recorded with {', '.join(differing)}" if differing else ""
+        if not differing:
+            return ""
+        with_what = f"; it was recorded with {', '.join(differing)}"
+        return f"{with_what}; fieldkit {made['fieldkit']} can replay it" if "fieldkit" in made else with_what
 
     def _check(self, step: Step, given: list[tuple[str, Command]], digest: str) -> None:
         where = f"event {step.inbox_number} ({type(step.event).__name__} at {step.event.t_ns} ns)"

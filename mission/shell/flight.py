@@ -37,7 +37,7 @@ def fly(
     metadata: dict[str, Any] = {
         "mission": mission.file.name,
         "seed": mission.file.seed,
-        "tuning": mission.kernel.engine.tuning.tables(),
+        **mission.recorded_settings,
         **(extra or {}),
     }
     if truth:
