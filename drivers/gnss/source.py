@@ -189,8 +189,9 @@ class _Followed:
         while not self._source.stopping.is_set():
             data = link.read()
             now_s = time.monotonic()
-            for fix in self._reader.feed(data, now_s) if data else ():
-                self._take(fix, now_s, arrival_ns(link, self._around.clock))
+            at_s = self._around.clock.elapsed_s()  # speeds and ages are of mission time
+            for fix in self._reader.feed(data, at_s) if data else ():
+                self._take(fix, at_s, arrival_ns(link, self._around.clock))
             if self._reader.sentences != sentences:
                 sentences, heard_s = self._reader.sentences, now_s
             elif now_s - heard_s > DEAF_S:

@@ -84,10 +84,10 @@ def run(
         runner = fly(
             mission, setup, folder / "mission.mcap", watch.show, page=shown, override=override, past=past
         )
-    _print_flown(runner, folder, as_json=as_json)
+    print_flown(runner, folder, as_json=as_json)
 
 
-def _print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
+def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
     """What was found, then the report, then who does not hold: exit code 4 where somebody does not."""
     from fieldkit.errors import FieldkitError
     from mission.analysis.report import write_report

@@ -249,6 +249,7 @@ def _safety(file: MissionFile) -> SafetySettings:
         vertical_separation_m=table.vertical_separation_m,
         braking_m=braking_m,
         altitude_m=file.altitudes_m(),
+        on_foot=frozenset(robot.name for robot in file.robot if robot.on_foot),
     )
 
 

@@ -252,6 +252,11 @@ class RobotTable(Table):
     receiver: ReceiverTable
     vehicle: VehicleTable
 
+    @property
+    def on_foot(self) -> bool:
+        """Whether it is a person, who follows advice."""
+        return self.vehicle.driver == "person"
+
     @model_validator(mode="after")
     def _can_be_called(self) -> "RobotTable":
         if not self.name.isprintable() or self.name != self.name.strip() or "/" in self.name:

@@ -20,8 +20,15 @@ from mission.cli.options import (
 
 def demo(
     seed: Annotated[int, typer.Option(help="Where the transmitters hide, and all other chance.")] = 7,
+    walk: Annotated[
+        str,
+        typer.Option(metavar="KIND", help="A person walks instead: ble, wifi, lora, meshtastic or wildlife."),
+    ] = "",
     out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
-    rate: Annotated[float, typer.Option(min=0.1, max=20.0, help="Mission seconds per wall second.")] = 10.0,
+    rate: Annotated[
+        float,
+        typer.Option(min=0.1, max=20.0, help="Mission seconds per wall second; a walk takes twice as many."),
+    ] = 10.0,
     page: PageOption = False,
     page_host: HostOption = "127.0.0.1",
     page_port: PortOption = 8321,
@@ -33,6 +40,9 @@ def demo(
 
     Example: fieldkit demo --seed 7
     """
+    if walk:
+        _walk_demo(walk, seed, out, 2.0 * rate, (page, page_host, page_port), as_json)
+        return
     from mission.analysis.report import write_report
     from mission.lab import demo as demonstration
     from mission.shell.terminal import Watch, result_table
@@ -57,6 +67,39 @@ def demo(
     result_table(plain)
     typer.echo(f"\nwritten: {folder}/{{mission.mcap, mission.toml, antenna.toml, report.html}}")
     typer.echo(f"next:    fieldkit replay {folder}/mission.mcap")
+
+
+def _walk_demo(
+    kind: str, seed: int, out: Path, rate: float, shown: tuple[bool, str, int], as_json: bool
+) -> None:
+    """One person, one radio that prints, one hidden transmitter."""
+    from mission.cli.missions import print_flown
+    from mission.lab.walk_demo import demo_walk
+    from mission.shell.flight import fly
+    from mission.shell.terminal import Watch
+    from mission.shell.warm_up import warm_up
+
+    folder = run_folder(out)
+    with demo_walk(folder, kind, seed, rate) as (mission, setup, truth):
+        say("preparing the engine (compiled once on a new machine, up to a minute) ...")
+        warm_up(mission)
+        with (
+            shown_page(mission, *shown) as page,
+            Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
+        ):
+            runner = fly(
+                mission,
+                setup,
+                folder / "mission.mcap",
+                watch.show,
+                truth=truth,
+                extra={"demo": True},
+                page=page,
+            )
+    print_flown(runner, folder, as_json=as_json)
+    if not as_json:
+        places = ", ".join(f"{s.east_m:.1f} m east, {s.north_m:.1f} m north" for s in truth)
+        typer.echo(f"it was hidden at {places}")
 
 
 def bench(

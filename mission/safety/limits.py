@@ -60,6 +60,8 @@ class SafetySettings:
     """How far a robot rolls on after it was told to hold."""
     altitude_m: Mapping[str, float] = field(default_factory=dict, hash=False)
     """Robots that fly, and how high."""
+    on_foot: frozenset[str] = frozenset()
+    """Those that are people: they may come near each other, stand, and walk as fast as they like. Robots avoid them."""
 
     @property
     def near_m(self) -> float:

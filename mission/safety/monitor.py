@@ -295,6 +295,8 @@ def under_way_trouble(robot: Watched, settings: SafetySettings, now_ns: int) -> 
             f"it is outside the fence or on closed ground, {robot.outside_m:.1f} m deep, at {pose.east_m:.1f} m east, "
             f"{pose.north_m:.1f} m north",
         )
+    if robot.name in settings.on_foot:
+        return None
     if robot.too_near:
         return Trouble(
             "near", f"it is, or would soon be, nearer than {settings.near_m:.2f} m to another robot"

@@ -61,6 +61,8 @@ def conflict(
 
     `new` are segments given together with it. Those of `undecided` robots come later, and their old ones are void.
     """
+    if robot.name in settings.on_foot:
+        return ""
     limit_m = 1.2 * settings.near_m
     for name, occupancy in occupied.items():
         if name == robot.name or name in undecided or are_layered(robot, occupancy.robot, settings):
@@ -104,7 +106,8 @@ def mark_too_near(
     before = {name: robot.too_near for name, robot in robots.items()}
     for robot in robots.values():
         robot.too_near = False
-    drives = {name for name, robot in robots.items() if robot.moving or name in homeward}
+    # People give way to nobody: whoever drives near one has to.
+    drives = {name for name, robot in robots.items() if robot.moving or name in homeward} - settings.on_foot
     near = [moment for robot in robots.values() if (moment := _moment(robot, homeward, settings)) is not None]
     for later, mine in enumerate(near):
         for other in near[:later]:
@@ -121,6 +124,8 @@ def mark_too_near(
                         other.robot.too_near = other.robot.name in drives
             elif (yields := _must_yield(other, mine, drives, settings)) is not None:
                 yields.too_near = True
+    for name in settings.on_foot:
+        robots[name].too_near = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,1 @@
+"""People who carry a radio: they follow advice, or not."""

@@ -1,0 +1,161 @@
+"""People in missions: advice, what safety asks of them, and a whole walk on emulated devices."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fieldkit.cli import build
+from fieldkit.messages import GoTo, Hold, Pose, Tick, VehicleState, Waypoint
+from fieldkit.world.walker import Walker, WanderingError, body_loss_db
+from mission.core.mission_file import parse_mission
+from mission.core.walk_text import WalkOptions, walk_text
+from mission.lab.study.walk import GUIDES, Job, _lanes, summary, trial, walk_mission
+from mission.lab.synthetic import small_mission
+from mission.safety.rules import Safety
+
+S = 10**9
+
+
+# -- safety ----------------------------------------------------------------------------------------------------
+
+
+def people(folder: Path, *names: str) -> Safety:
+    """A mission of robots r1 to r4 of which these are people."""
+    return Safety(replace(small_mission(folder, duration_s=5.0).safety, on_foot=frozenset(names)))
+
+
+def placed(safety: Safety, robot: str, east_m: float, north_m: float, t_s: float) -> None:
+    safety.observe(VehicleState(round(t_s * S), robot, "guided", True))
+    safety.observe(Pose(round(t_s * S), robot, east_m, north_m, sigma_m=0.1))
+
+
+def test_a_person_who_stands_is_not_stuck_and_a_robot_is(tmp_path: Path) -> None:
+    held = {}
+    for who in ((), ("r1",)):
+        safety = people(tmp_path, *who)
+        said = []
+        for k in range(120):
+            placed(safety, "r1", 2.0, 2.0, 0.5 * k)
+            said += safety.observe(Tick(round(0.5 * k * S)))
+            if k == 1:
+                assert isinstance(safety.allow(GoTo(S, "r1", Waypoint(8.0, 8.0, 0.4))), GoTo)
+        held[who] = [command for command in said if isinstance(command, Hold)]
+    assert held[()] and not held[("r1",)]
+
+
+def test_people_may_come_near_each_other_and_robots_keep_away_from_them(tmp_path: Path) -> None:
+    safety = people(tmp_path, "r1", "r2")
+    for robot, east_m in (("r1", 2.0), ("r2", 2.6), ("r3", 5.0), ("r4", 9.0)):
+        placed(safety, robot, east_m, 2.0, 1.0)
+    safety.observe(Tick(S))
+    assert isinstance(safety.allow(GoTo(S, "r1", Waypoint(2.6, 2.0, 1.0))), GoTo)
+    refused = safety.allow(GoTo(S, "r3", Waypoint(2.6, 2.0, 0.4)))
+    assert isinstance(refused, Hold) and "r" in refused.reason
+
+
+def test_whoever_drives_near_a_person_stops_though_it_was_named_first(tmp_path: Path) -> None:
+    safety = people(tmp_path, "r4")
+    held = []
+    for k in range(40):
+        t_s = 0.25 * k
+        placed(safety, "r1", 2.0 + 0.1 * k, 2.0, t_s)
+        placed(safety, "r4", 6.0 - 0.1 * k, 2.0, t_s)
+        if k == 1:
+            safety.allow(GoTo(round(t_s * S), "r1", Waypoint(4.0, 2.0, 0.4)))
+            safety.allow(GoTo(round(t_s * S), "r4", Waypoint(2.0, 2.0, 0.4)))
+        held += [command for command in safety.observe(Tick(round(t_s * S))) if isinstance(command, Hold)]
+    assert {command.robot for command in held} == {"r1"}
+
+
+# -- the world -------------------------------------------------------------------------------------------------
+
+
+def test_a_walker_goes_where_it_is_told_or_for_one_hint_somewhere_else() -> None:
+    obeys = Walker(0.0, 0.0, np.random.default_rng(1), ignores=0.0)
+    obeys.advise((12.0, 0.0))
+    for _ in range(100):
+        obeys.step(0.5)
+    assert math.dist((obeys.east_m, obeys.north_m), (12.0, 0.0)) <= 1.0
+    rng = np.random.default_rng(2)
+    went = []
+    for _ in range(300):
+        walker = Walker(50.0, 50.0, rng, size_m=(100.0, 100.0))
+        walker.advise((60.0, 50.0))
+        for _ in range(4):
+            walker.step(1.0)
+        assert 0.0 <= walker.east_m <= 100.0 and 0.0 <= walker.north_m <= 100.0
+        went.append(walker.east_m > 54.0 and abs(walker.north_m - 50.0) < 0.5)
+    assert 0.6 < np.mean(went) < 0.75
+
+
+def test_a_body_takes_nothing_in_front_and_all_behind() -> None:
+    assert body_loss_db(np.array([0.0, 90.0, 180.0, -90.0]), 8.0) == pytest.approx([0.0, 4.0, 8.0, 4.0])
+
+
+def test_a_wandering_error_has_its_deviation_and_lasts() -> None:
+    error = WanderingError(3.0, 60.0, np.random.default_rng(3))
+    track = []
+    for _ in range(20_000):
+        error.step(1.0)
+        track.append(error.off_m.copy())
+    path = np.array(track)
+    assert path.std(axis=0) == pytest.approx([3.0, 3.0], rel=0.2)
+    minute = np.mean(path[60:] * path[:-60], axis=0) / path.var(axis=0)
+    assert minute == pytest.approx([math.exp(-1.0)] * 2, abs=0.15)
+
+
+# -- the walk --------------------------------------------------------------------------------------------------
+
+
+def test_the_file_of_a_walk_is_a_mission_with_a_person() -> None:
+    options = WalkOptions({"driver": "lines", "port": "-", "map": "rylr"}, "/dev/x", "a.toml", (47.0, 8.0))
+    file = parse_mission(walk_text(options), "walk")
+    assert [robot.on_foot for robot in file.robot] == [True]
+    assert file.positions[0].driver == "gnss"
+    mission = walk_mission(3)
+    assert mission.safety.on_foot == {"me"}
+    assert mission.kernel.max_pose_gap_s >= 2.0, "a satellite receiver gives one position a second"
+
+
+def test_lanes_cover_the_field() -> None:
+    corners = np.array(_lanes())
+    assert corners.min() >= 0.0 and corners.max() <= 300.0
+    assert len({east for east, _ in _lanes()}) == 3
+
+
+def test_advice_finds_a_transmitter_in_a_quarter_of_an_hour_or_so() -> None:
+    """One walk of the study; its page has fifty."""
+    row = trial(Job(0, 3, "advice"))
+    assert row["found_s"] is not None and row["found_s"] < 1500.0
+    assert row["off_m"] < 20.0 and row["false"] == 0
+
+
+def test_a_walk_that_found_nothing_counts_as_longer_than_all_others() -> None:
+    found = {"found_s": 100.0, "off_m": 2.0, "false": 0}
+    rows = [found, found | {"found_s": 300.0, "off_m": 12.0}, found | {"found_s": None, "off_m": None}]
+    told = summary(rows)
+    assert (told["n"], told["found"], told["median_s"], told["p90_s"]) == (3, 2, 300.0, None)
+    assert told["within_10_m"] == 1
+    assert GUIDES[0] == "advice"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["walk"], "missing: --receiver, --gnss, --antenna"),
+        (["walk", "--receiver", "x,rylr", "--gnss", "/dev/none"], "missing: --antenna"),
+        (
+            ["walk", "--receiver", "x,rylr", "--gnss", "/dev/none", "--antenna", "none.toml"],
+            "--antenna none.toml: cannot be read",
+        ),
+        (["demo", "--walk", "smoke"], "--walk: expected one of ble, wifi, lora"),
+    ],
+)
+def test_what_is_missing_for_a_walk_is_said(arguments: list[str], says: str, tmp_path: Path) -> None:
+    result = CliRunner().invoke(build(), [*arguments, "--out", str(tmp_path), "--no-page"])
+    assert result.exit_code != 0
+    assert says in " ".join((result.output + str(result.exception)).split())
