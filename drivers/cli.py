@@ -198,7 +198,7 @@ def channels(
             f"{each['channel']:7d} {each['mean_dbm']:10.1f} {each['strongest_dbm']:10.0f} {each['busy_share']:6.0%}"
         )
     typer.echo(
-        f"{found['scans']} scans; deaf to packets for {found['deaf_s']:.1f} s. Any radio counts, WiFi too."
+        f"{found['scans']} scans, for {found['not_listening_s']:.1f} s without packets. Any radio counts, WiFi too."
     )
 
 
@@ -248,8 +248,8 @@ def _watch(port: str, baud: int, seconds: float, as_json: bool) -> None:
     lines = watch(port, baud, seconds)
     found = propose(lines)
     if as_json:
-        told = None if found is None else {"toml": found.toml(), "read": found.read, "of": found.of}
-        typer.echo(json.dumps({"lines": lines, "proposal": told}))
+        proposal = None if found is None else {"toml": found.toml(), "read": found.read, "of": found.of}
+        typer.echo(json.dumps({"lines": lines, "proposal": proposal}))
         return
     for line in lines[-20:]:
         typer.echo(f"  {line[:76]}")

@@ -11,7 +11,7 @@ from drivers.mavlink.transport import Peer, make_transport
 from drivers.mavlink.vehicle import Vehicle
 from drivers.sniffers.receiver import open_nrf, open_ti
 from drivers.xbee.receiver import open_receiver
-from drivers.xbee.settings import advice, why_deaf
+from drivers.xbee.settings import advice, why_it_cannot_hear
 from fieldkit.clock import RealClock
 from fieldkit.errors import DeviceError, DeviceTimeout
 from fieldkit.geo import FieldFrame
@@ -84,8 +84,8 @@ async def _ask(port: str, baud: int) -> Found:
         return Found(port, f"not usable: {error}")
     assert settings is not None
     hears = MESH_HEARS if settings.is_mesh else XBEE_HEARS
-    deaf = why_deaf(settings)
-    what = f"{settings.describe()}: " + (f"not usable as it is: {deaf}; {hears}" if deaf else hears)
+    reason = why_it_cannot_hear(settings)
+    what = f"{settings.describe()}: " + (f"not usable as it is: {reason}; {hears}" if reason else hears)
     values = {"AP": settings.api_mode} | settings.values
     told = {name: f"{value:X}" for name, value in values.items() if value is not None}
     return Found(port, what, advice(settings), told)

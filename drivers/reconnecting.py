@@ -22,7 +22,7 @@ REOPEN_EVERY_S = 0.5
 """Wall time between attempts to take a lost device back."""
 
 
-class KeptReceiver(ABC):
+class ReconnectingReceiver(ABC):
     """A `Receiver` around a device that may go away.
 
     A subclass opens and closes its device, and from its reader thread gives readings to `_give` and calls
@@ -53,7 +53,7 @@ class KeptReceiver(ABC):
 
     async def __aenter__(self) -> Self:
         self._loop = asyncio.get_running_loop()
-        self._handover: BoundedQueue[RssReading | ReceiverState] = BoundedQueue()
+        self._queue: BoundedQueue[RssReading | ReceiverState] = BoundedQueue()
         self._lost = asyncio.Event()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix=f"receiver-{self.robot}")
         try:
@@ -61,7 +61,7 @@ class KeptReceiver(ABC):
         except BaseException:
             await self._shut()
             raise
-        self._keeper = asyncio.create_task(self._keep_open(), name=f"receiver-{self.robot}")
+        self._reopener = asyncio.create_task(self._keep_open(), name=f"receiver-{self.robot}")
         return self
 
     async def __aexit__(
@@ -69,14 +69,14 @@ class KeptReceiver(ABC):
     ) -> None:
         if self._closed:
             return
-        self._keeper.cancel()
+        self._reopener.cancel()
         with contextlib.suppress(asyncio.CancelledError):
-            await self._keeper
+            await self._reopener
         await self._shut()
 
     async def readings(self) -> AsyncIterator[RssReading | ReceiverState]:
         """Readings and changes of state, in order; the first is the state after opening. For one consumer."""
-        async for item in self._handover.items():
+        async for item in self._queue.items():
             yield item
 
     async def _in_worker(self, function: Callable[..., object], *arguments: Any) -> None:
@@ -88,7 +88,7 @@ class KeptReceiver(ABC):
         # Queued behind whatever the worker is at, so a device opened after a cancellation is closed too.
         await asyncio.shield(asyncio.ensure_future(self._in_worker(self._close_device)))
         self._worker.shutdown(wait=True)
-        self._handover.close()
+        self._queue.close()
 
     async def _keep_open(self) -> None:
         """Take the device back whenever it is lost."""
@@ -138,11 +138,11 @@ class KeptReceiver(ABC):
         """Hand over; readings for which there is no room make the receiver count as down until there is."""
         if self._overrun:
             text = f"{self._overrun} readings lost: they came faster than they were taken"
-            if self._handover.put(ReceiverState(item.t_ns, self.robot, True, text)):
+            if self._queue.put(ReceiverState(item.t_ns, self.robot, True, text)):
                 self._overrun = 0
-        if self._handover.put(item, always=always):
+        if self._queue.put(item, always=always):
             return
         if not self._overrun:
             text = "readings come faster than they are taken"
-            self._handover.put(ReceiverState(item.t_ns, self.robot, False, text), always=True)
+            self._queue.put(ReceiverState(item.t_ns, self.robot, False, text), always=True)
         self._overrun += 1

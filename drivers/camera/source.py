@@ -114,7 +114,7 @@ class CameraSource:
         self._process: Any = None
 
     async def __aenter__(self) -> Self:
-        self._handover: BoundedQueue[Pose] = BoundedQueue()
+        self._queue: BoundedQueue[Pose] = BoundedQueue()
         self._stopping = threading.Event()
         self._first = threading.Event()
         self._why = ""
@@ -140,11 +140,11 @@ class CameraSource:
     ) -> None:
         self._stopping.set()
         await asyncio.to_thread(self._thread.join)
-        self._handover.close()
+        self._queue.close()
 
     async def poses(self) -> AsyncIterator[Pose]:
         """Poses in the field frame, in order of the pictures. Ends when closed, or with the film."""
-        async for pose in self._handover.items():
+        async for pose in self._queue.items():
             yield pose
 
     # What follows runs in the watching thread.
@@ -154,7 +154,7 @@ class CameraSource:
             ended = self._one_process()
             if ended.over:
                 logger.info("%s: %s", self._name, ended.reason)
-                return self._handover.close_soon()
+                return self._queue.close_soon()
             if not self._first.is_set():
                 self._why = ended.reason
                 return None
@@ -199,7 +199,7 @@ class CameraSource:
         self.inconsistent = found.inconsistent
         t_ns = self._mission_time(found.taken_s)
         for fix in found.fixes:
-            self._handover.put(
+            self._queue.put(
                 Pose(t_ns, fix.robot, fix.east_m, fix.north_m, 0.0, fix.heading_deg, fix.sigma_m, "camera")
             )
         self._first.set()

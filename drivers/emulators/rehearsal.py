@@ -54,7 +54,7 @@ class Rehearsal:
 
 
 @dataclass
-class Whereabouts:
+class HeardPositions:
     """Where vehicles are, from a copy of their telemetry."""
 
     frame: FieldFrame
@@ -185,7 +185,7 @@ class Radios:
 
     def __init__(self, what: Rehearsal, telemetry: str, clock: Clock, seed: int) -> None:
         self.what = what
-        self.positions = Whereabouts(what.frame, clock)
+        self.positions = HeardPositions(what.frame, clock)
         self.heard = dict.fromkeys((robot.name for robot in what.robots), 0)
         """Packets that each radio has heard."""
         self._clock = clock

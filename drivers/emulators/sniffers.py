@@ -1,6 +1,6 @@
 """Sniffer dongles as their serial ports show them: Nordic's text firmware and TI's binary one.
 
-They hear only while told to capture, and only their channel. `now_us` is the dongle's own clock.
+They hear only while asked to capture, and only their channel. `now_us` is the dongle's own clock.
 """
 
 from collections.abc import Callable
@@ -44,7 +44,7 @@ class NrfDongle:
     listening_on: int = field(default=11, init=False)
 
     def reboot(self) -> bytes:
-        """Deaf until told again to capture; the shell says its prompt."""
+        """Hears nothing until it is asked again to capture; the shell says its prompt."""
         self.capturing, self.listening_on, self._line, self._echo = False, 11, b"", True
         return b"*** Booting Zephyr OS ***\r\n" + PROMPT
 
@@ -97,7 +97,7 @@ class TiDongle:
     listening_on: int = field(default=0, init=False)
 
     def reboot(self) -> bytes:
-        """Deaf until told again to capture, and silent about it."""
+        """Hears nothing until it is asked again to capture, and silent about it."""
         self.capturing, self.listening_on, self._buffer = False, 0, b""
         return b""
 

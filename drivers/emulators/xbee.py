@@ -2,7 +2,7 @@
 
 Written against Digi 90000982 (S1), 90001500 (S2C) and 90002273 (XBee 3); the golden bytes in the tests are
 the manuals'. Local AT commands (0x08, 0x09), text command mode (`+++`) and reception are answered as the
-module does; anything it would transmit is only counted. An energy scan (ED) makes it deaf and late to answer.
+module does; anything it would transmit is only counted. During an energy scan (ED) it hears nothing and answers late.
 """
 
 from collections.abc import Iterator

@@ -80,7 +80,7 @@ class GnssSource:
         self._threads: list[threading.Thread] = []
 
     async def __aenter__(self) -> Self:
-        self._handover: BoundedQueue[Pose] = BoundedQueue()
+        self._queue: BoundedQueue[Pose] = BoundedQueue()
         self._stopping = threading.Event()
         loop = asyncio.get_running_loop()
         links: dict[str, ByteLink] = {}
@@ -107,11 +107,11 @@ class GnssSource:
         threads, self._threads = self._threads, []
         for thread in threads:
             await asyncio.get_running_loop().run_in_executor(None, thread.join)
-        self._handover.close()
+        self._queue.close()
 
     async def poses(self) -> AsyncIterator[Pose]:
         """For one consumer at a time."""
-        async for pose in self._handover.items():
+        async for pose in self._queue.items():
             yield pose
 
     def _open(self, robot: str, port: str) -> ByteLink:
@@ -160,7 +160,7 @@ class GnssSource:
 
     def put(self, pose: Pose) -> None:
         """Hand a pose over; where there is no room the robot is absent."""
-        if not self._handover.put(pose):
+        if not self._queue.put(pose):
             self.note(pose.robot, "positions come faster than they are taken")
 
 

@@ -16,7 +16,7 @@ from drivers.lines.maps import MAPS
 from drivers.lines.sources import open_source
 from drivers.links import ByteLink, arrival_ns
 from drivers.options import checked
-from drivers.reconnecting import KeptReceiver
+from drivers.reconnecting import ReconnectingReceiver
 from drivers.timebase import CLOCK_JUMP_NS, TimeBase
 from fieldkit.errors import ConfigError
 from fieldkit.messages import ReceiverState, RssReading
@@ -111,7 +111,7 @@ class LineSplitter:
         return [line for line in lines if line]
 
 
-class LinesReceiver(KeptReceiver):
+class LinesReceiver(ReconnectingReceiver):
     """Entering opens the port and reads; nothing is sent."""
 
     def __init__(self, robot: str, options: LinesOptions, line_map: LineMap, around: DriverContext) -> None:

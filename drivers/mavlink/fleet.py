@@ -41,7 +41,7 @@ HOUSEKEEPING_S = 0.5
 POSITION_STALE_S = 2.0
 ASK_TIME_EVERY_NS = 5_000_000_000
 """A link that is slow for good is not asked more often."""
-RIVAL_S = 10.0
+SECOND_STATION_S = 10.0
 REFUSED_MANY = 20
 """Frames refused before the operator is told: some seconds of one vehicle."""
 
@@ -101,7 +101,7 @@ class MavlinkLink:
         transport = make_transport(address)
         self._transport = transport if around.tap is None else TappedTransport(transport, address, around.tap)
         self._is_open = False
-        self._rival_s = -math.inf
+        self._second_station_s = -math.inf
         """When another ground station with our system id was last heard."""
 
     def _add(self, name: str, option: RobotOptions) -> None:
@@ -166,7 +166,8 @@ class MavlinkLink:
         for message in parser.parse(data):
             steered = self._steered.get(message.get_srcSystem())
             if message.get_srcSystem() == self._own_id and message.get_type() == "HEARTBEAT":
-                self._rival_s = now_s  # routers and autopilots forward: ours would not come back to us
+                # Routers and autopilots forward: ours would not come back to us.
+                self._second_station_s = now_s
             if steered is None or message.get_srcComponent() != AUTOPILOT:
                 continue
             steered.vehicle.count(peer, message.get_seq())
@@ -272,7 +273,7 @@ class MavlinkLink:
 
     async def acquire_control(self, robot: str, *, arm: bool = True) -> None:
         """Set message rates, GUIDED, armed; each confirmed by the vehicle's own heartbeat."""
-        self._refuse_rival(robot)
+        self._refuse_second_station(robot)
         await self._orders.acquire_control(self._of(robot), arm=arm)
 
     def release(self, robot: str) -> None:
@@ -315,10 +316,10 @@ class MavlinkLink:
         await self._orders.until_heard(vehicle)
         if not vehicle.link_up or vehicle.doubles or vehicle.firmware is None:
             return inspect.condition(vehicle, self._clock.elapsed_s())
-        words = self._rival()
+        words = self._second_station()
         self._orders.ask_rates(vehicle)
         checks = await self._talks.inspect(steered, demands, self._signer is not None)
-        if words := words or self._rival():
+        if words := words or self._second_station():
             checks.append(Check(robot, "identity", "red", words, "end the other mission"))
         return checks
 
@@ -367,14 +368,14 @@ class MavlinkLink:
 
     # Guards
 
-    def _rival(self) -> str:
+    def _second_station(self) -> str:
         """Words on another station that steers with our id; empty where there is none."""
-        if self._clock.elapsed_s() - self._rival_s > RIVAL_S:
+        if self._clock.elapsed_s() - self._second_station_s > SECOND_STATION_S:
             return ""
         return f"another ground station has our system id {self._own_id}: is a second mission running?"
 
-    def _refuse_rival(self, robot: str) -> None:
-        if words := self._rival():
+    def _refuse_second_station(self, robot: str) -> None:
+        if words := self._second_station():
             raise VehicleRefused(
                 f"{robot}: {words} End it, or give this one an own_system_id of its own in the mission file"
             )

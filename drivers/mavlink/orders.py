@@ -80,8 +80,8 @@ class Orders:
         """Have it hold: the first frame has left when this returns. The number of this order."""
         mine = self._newer(steered)
         steered.must_hold = True
-        steered.hold_told_s = self._clock.elapsed_s()
-        steered.hold_unseen_until_s = steered.hold_told_s + CONFIRM_S
+        steered.hold_ordered_s = self._clock.elapsed_s()
+        steered.hold_unseen_until_s = steered.hold_ordered_s + CONFIRM_S
         steered.speed_m_s = None
         steered.hold_seen = steered.vehicle.heartbeats
         steered.vehicle.command("hold")
@@ -92,7 +92,7 @@ class Orders:
 
     def repeat_hold(self, steered: Steered) -> None:
         """Send a hold again that has not been shown yet, or that was lost though we have given up on it."""
-        if steered.must_be_told_to_hold(self._clock.elapsed_s()):
+        if steered.must_be_ordered_to_hold(self._clock.elapsed_s()):
             self._send_hold(steered)
 
     async def hold(self, steered: Steered) -> None:
@@ -113,7 +113,8 @@ class Orders:
         # PX4 goes to way-points inside its hold mode: there the mode alone shows nothing.
         paused = self._commander.noted(vehicle, mavlink.MAV_CMD_DO_REPOSITION) == mavlink.MAV_RESULT_ACCEPTED
         stands = (
-            vehicle.position_s > steered.hold_told_s + STOPPING_S and (vehicle.speed_m_s or 0.0) < STANDS_M_S
+            vehicle.position_s > steered.hold_ordered_s + STOPPING_S
+            and (vehicle.speed_m_s or 0.0) < STANDS_M_S
         )
         return paused or stands
 

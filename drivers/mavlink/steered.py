@@ -49,7 +49,7 @@ class Steered:
     """It was told to hold, and nothing else since: told again while it still drives where we sent it."""
     hold_unseen_until_s: float = -math.inf
     """Until then a hold that it has not shown yet is repeated, whatever mode it is in."""
-    hold_told_s: float = -math.inf
+    hold_ordered_s: float = -math.inf
     hold_seen: int = 0
     """Heartbeats heard when it was told: only a later one can show the hold."""
     inboxes: list[Inbox] = field(default_factory=list)
@@ -67,7 +67,7 @@ class Steered:
         apart = max(abs(said[0] - self.target[0]), abs(said[1] - self.target[1]))
         return fresh and apart > TARGET_TOLERANCE and self.resent < RESENDS
 
-    def must_be_told_to_hold(self, now_s: float) -> bool:
+    def must_be_ordered_to_hold(self, now_s: float) -> bool:
         """Whether a hold has to go out again: not shown yet, or it still follows our last way-point."""
         vehicle = self.vehicle
         if not self.must_hold or vehicle.firmware is None:

@@ -17,7 +17,7 @@ _HEAD, _LONGEST = 10, 280
 
 
 class TappedTransport:
-    """A transport whose bytes are told to `tap` with the name of their direction: `NAME/in`, `NAME/out`."""
+    """A transport whose bytes are copied to `tap` with the name of their direction: `NAME/in`, `NAME/out`."""
 
     def __init__(self, transport: Transport, name: str, tap: Callable[[str, bytes], None]) -> None:
         self._transport, self._name, self._tap = transport, name, tap
@@ -35,24 +35,24 @@ class TappedTransport:
         return self._transport.default_peer
 
     async def open(self, on_data: OnData) -> None:
-        """Open it; every chunk is told before it is handed on."""
+        """Open it; every chunk is copied before it is handed on."""
 
-        def told(data: bytes, peer: Peer) -> None:
-            self._tell("in", data)
+        def copied(data: bytes, peer: Peer) -> None:
+            self._copy("in", data)
             on_data(data, peer)
 
-        await self._transport.open(told)
+        await self._transport.open(copied)
 
     def send(self, data: bytes, peer: Peer) -> None:
         """Send, and tell."""
-        self._tell("out", data)
+        self._copy("out", data)
         self._transport.send(data, peer)
 
     async def close(self) -> None:
         """Close it."""
         await self._transport.close()
 
-    def _tell(self, way: str, data: bytes) -> None:
+    def _copy(self, way: str, data: bytes) -> None:
         # A stream may cut a frame's head in two: look at the end of what came before as well.
         if _KEY.search(self._tail[way] + data):
             self._left_out[way] = _LONGEST

@@ -13,7 +13,7 @@ from typing import Any
 
 from drivers.links import READ_TIMEOUT_S
 from drivers.options import checked
-from drivers.reconnecting import KeptReceiver
+from drivers.reconnecting import ReconnectingReceiver
 from drivers.sniffers.capture import CaptureError, CaptureReader, Packet
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.strength import (
@@ -56,7 +56,7 @@ def open_capture(robot: str, options: Mapping[str, Any], around: DriverContext) 
     return PcapReceiver(robot, checked(PcapOptions, options, f"receiver of {robot} (pcap)"), around)
 
 
-class PcapReceiver(KeptReceiver):
+class PcapReceiver(ReconnectingReceiver):
     """Readings carry the capture's own times. Down at a file's end, and when a pipe's writer goes."""
 
     def __init__(self, robot: str, options: PcapOptions, around: DriverContext) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from drivers.links import ByteLink, UsbIdentity, arrival_ns, open_link, port_of, usb_identity
 from drivers.options import checked
-from drivers.reconnecting import KeptReceiver
+from drivers.reconnecting import ReconnectingReceiver
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.nrf import NrfText
 from drivers.sniffers.protocol import CHANNELS, Captured, SnifferProtocol
@@ -79,7 +79,7 @@ def _make(
     return SnifferReceiver(robot, f"{name} of {robot}", options, around, protocol)
 
 
-class SnifferReceiver(KeptReceiver):
+class SnifferReceiver(ReconnectingReceiver):
     """Entering starts the capture; closing stops it."""
 
     def __init__(

@@ -2,7 +2,7 @@
 
 What the library does by itself and a listening robot must not (all verified against digi-xbee 1.5):
 it asks every unknown 16-bit sender for its address over the air and blocks 4 s for an answer; it spins
-for ever on an unplugged port; one spurious 7E deafens it for up to 32 kB; it can miss the wake-up of
+for ever on an unplugged port; after one spurious 7E it understands nothing for up to 32 kB; it can miss the wake-up of
 a fast reply; it runs callbacks unordered on a pool of 50 threads; some well-formed frames (reception
 without data, odd IO samples) kill its reader thread. Here the library does the opening exchange and runs
 the reader thread; received frames are taken out of the stream before it handles them, and decoded with its

@@ -1,6 +1,6 @@
 """A robot's XBee as a `Receiver`: opens it, listens, notices when it is gone and takes it back.
 
-Where asked to, it also scans the channels' energy now and then, and says for how long it was deaf by that.
+Where asked to, it also scans the channels' energy now and then, and says for how long its receiver was down by that.
 """
 
 import asyncio
@@ -16,13 +16,13 @@ from digi.xbee.exception import InvalidOperatingModeException, XBeeException
 
 from drivers.links import UsbIdentity, open_link, port_of, usb_identity
 from drivers.options import checked
-from drivers.reconnecting import KeptReceiver
+from drivers.reconnecting import ReconnectingReceiver
 from drivers.xbee.decode import WITHOUT_RSSI, Heard, db_answer, decode, name_of
 from drivers.xbee.diagnose import why_silent
 from drivers.xbee.energy import energies, parameter
 from drivers.xbee.last_hop import LastHop
 from drivers.xbee.listen import FrameInterface, ListenOnly
-from drivers.xbee.settings import SATURATION_DBM, ModuleSettings, advice, read_settings, why_deaf
+from drivers.xbee.settings import SATURATION_DBM, ModuleSettings, advice, read_settings, why_it_cannot_hear
 from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
@@ -49,7 +49,7 @@ class XBeeOptions:
     ask_db: bool = False
     """Take modules whose frames carry no strength, and ask ATDB after each: see `last_hop`."""
     energy_scan_s: float = 0.0
-    """Length of an energy scan over all channels, wall time; 0: none. The module is deaf meanwhile."""
+    """Length of an energy scan over all channels, wall time; 0: none. Its receiver is down meanwhile."""
     energy_scan_every_s: float = 60.0
     """Mission time between energy scans."""
 
@@ -73,7 +73,7 @@ def open_survey(robot: str, options: Mapping[str, Any], around: DriverContext) -
     return open_receiver(robot, defaults | dict(options), around)
 
 
-class XBeeReceiver(KeptReceiver):
+class XBeeReceiver(ReconnectingReceiver):
     """Entering opens the radio and checks its settings; readings come from then on until closed."""
 
     def __init__(self, robot: str, options: XBeeOptions, around: DriverContext) -> None:
@@ -118,7 +118,7 @@ class XBeeReceiver(KeptReceiver):
             return
         command, lasts_s = parameter(self._options.energy_scan_s, legacy=self.settings.is_s1)
         began_ns = self._clock.now_ns()
-        self._say(False, f"energy scan: deaf for {lasts_s:.2f} s", began_ns)
+        self._say(False, f"energy scan: receiver down for {lasts_s:.2f} s", began_ns)
         found: dict[int, float] = {}
         try:
             found = energies(device.scan_energy(command, lasts_s + REPLY_WITHIN_S))
@@ -129,7 +129,7 @@ class XBeeReceiver(KeptReceiver):
         for channel, rss_dbm in found.items():
             middle_ns = (began_ns + ended_ns) // 2
             self._give(RssReading(middle_ns, self.robot, rss_dbm, "ed", channel))
-        self._say(True, f"{words}; deaf for {(ended_ns - began_ns) * 1e-9:.2f} s", ended_ns)
+        self._say(True, f"{words}; receiver was down for {(ended_ns - began_ns) * 1e-9:.2f} s", ended_ns)
 
     def _say(self, up: bool, reason: str, t_ns: int) -> None:
         """A change of state, unless the device is lost: then it is down already."""
@@ -184,7 +184,7 @@ class XBeeReceiver(KeptReceiver):
             link.close()
 
     def _accept(self, settings: ModuleSettings) -> ModuleSettings:
-        if (reason := why_deaf(settings)) and not self._options.ask_db:
+        if (reason := why_it_cannot_hear(settings)) and not self._options.ask_db:
             raise DeviceError(f"{self._name}: the module on {self._port} {reason}")
         wanted = self._options.channel
         if wanted is not None and settings.channel != wanted:

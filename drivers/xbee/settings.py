@@ -87,7 +87,7 @@ def _ask(device: XBeeDevice, name: str) -> int | None:
         return None
 
 
-def why_deaf(settings: ModuleSettings) -> str:
+def why_it_cannot_hear(settings: ModuleSettings) -> str:
     """Why this module cannot give strengths, with the remedy; empty if it can."""
     if settings.protocol != XBeeProtocol.RAW_802_15_4:
         return (

@@ -15,7 +15,7 @@ FAILURES = 3
 
 
 def occupancy(port: str, baud: int, scans: int, scan_s: float, busy_dbm: float) -> dict[str, Any]:
-    """Per channel: mean and strongest energy and the share of scans that found it busy; and the time spent deaf.
+    """Per channel: mean and strongest energy, the share of scans that found it busy; how long nothing was received.
 
     `over_time` has every scan: its time and each channel's energy. Raises `DeviceError`.
     """
@@ -50,7 +50,7 @@ async def _occupancy(port: str, baud: int, scans: int, scan_s: float, busy_dbm: 
 
 
 def _state(state: ReceiverState, began_ns: int, receiver_down_ns: int) -> tuple[int, int, bool]:
-    """(when it went deaf, deaf time so far, whether a scan has ended)."""
+    """(when its receiver went down, for how long so far, whether a scan has ended)."""
     if not state.up:
         if not state.reason.startswith("energy scan"):
             raise DeviceError(f"the radio was lost: {state.reason}")
@@ -60,7 +60,7 @@ def _state(state: ReceiverState, began_ns: int, receiver_down_ns: int) -> tuple[
     return 0, receiver_down_ns + state.t_ns - began_ns, True
 
 
-def _summary(over_time: list[dict[str, Any]], deaf_s: float, busy_dbm: float) -> dict[str, Any]:
+def _summary(over_time: list[dict[str, Any]], not_listening_s: float, busy_dbm: float) -> dict[str, Any]:
     channels = []
     for channel in sorted({each for scan in over_time for each in scan["energy_dbm"]}):
         found = [scan["energy_dbm"][channel] for scan in over_time if channel in scan["energy_dbm"]]
@@ -72,4 +72,9 @@ def _summary(over_time: list[dict[str, Any]], deaf_s: float, busy_dbm: float) ->
                 "busy_share": round(sum(level >= busy_dbm for level in found) / len(over_time), 3),
             }
         )
-    return {"scans": len(over_time), "deaf_s": round(deaf_s, 2), "channels": channels, "over_time": over_time}
+    return {
+        "scans": len(over_time),
+        "not_listening_s": round(not_listening_s, 2),
+        "channels": channels,
+        "over_time": over_time,
+    }

@@ -195,7 +195,7 @@ def _write(
         raise RecordingError(f"{out}: exists already; name another file")
     if not events:
         raise RecordingError(f"{out}: nothing to merge: the inputs hold no events")
-    told = {
+    how = {
         Path(name).name: {"seconds": o.seconds, "sigma_s": o.sigma_s, "shared": o.shared, "by": o.by}
         for name, o in offsets.items()
     }
@@ -206,7 +206,7 @@ def _write(
             partial,
             mission_toml=first.mission_toml,
             antenna_toml=first.antenna_toml,
-            metadata=first.metadata | {"merged": told},
+            metadata=first.metadata | {"merged": how},
             frame=frame,
             start_ns=events[0].t_ns,
         ) as writer:

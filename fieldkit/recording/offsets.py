@@ -73,8 +73,8 @@ def _by_rhythm(one_ns: np.ndarray, other_ns: np.ndarray) -> Offset | None:
     within = np.searchsorted(apart, apart + WINDOW_S, side="right") - np.arange(len(apart))
     best = int(np.argmax(within))
     elsewhere = np.abs(apart - apart[best]) > 2.0 * WINDOW_S
-    rival = int(within[elsewhere].max(initial=0))
-    if within[best] < max(MIN_SHARED, SURE_RATIO * rival):
+    runner_up = int(within[elsewhere].max(initial=0))
+    if within[best] < max(MIN_SHARED, SURE_RATIO * runner_up):
         return None
     return _agreed(apart[best : best + int(within[best])], "rhythm")
 

@@ -30,7 +30,7 @@ from missions group by all order by all
 """What is asked where nothing else is."""
 
 Progress = Callable[[int, int, str], None]
-"""Told how many of how many are done, and the one just done."""
+"""Called with how many of how many are done, and the one just done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +58,8 @@ def jobs_of(folder: Path, results: Path, *, replay: bool, keys: tuple[str, ...] 
 def _key(log: Path, folder: Path, replay: bool, keys: tuple[str, ...]) -> str:
     """Changes when the recording or the question does: then it is taken in anew."""
     stat = log.stat()
-    told = json.dumps([str(log.relative_to(folder)), stat.st_size, stat.st_mtime_ns, replay, keys])
-    return hashlib.sha256(told.encode()).hexdigest()[:20]
+    identity = json.dumps([str(log.relative_to(folder)), stat.st_size, stat.st_mtime_ns, replay, keys])
+    return hashlib.sha256(identity.encode()).hexdigest()[:20]
 
 
 def take_in(job: Job) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fieldkit.messages import SourceEstimate
-from mission.analysis.history import History, read_story
+from mission.analysis.history import History, read_history
 
 FALSE_CELLS = 2.0
 """A find further than this many cells from every true source is false, as in `fieldkit study`."""
@@ -14,7 +14,7 @@ FALSE_CELLS = 2.0
 
 def figures(path: Path) -> dict[str, Any]:
     """The row of a recording; None where a figure cannot be known. Raises `RecordingError` for what is not one."""
-    return row_of(read_story(path))
+    return row_of(read_history(path))
 
 
 def row_of(history: History) -> dict[str, Any]:

@@ -77,7 +77,7 @@ class History:
         return [source for source in self.final if source.state == "found"]
 
 
-def read_story(path: Path) -> History:
+def read_history(path: Path) -> History:
     """Read a recording, whole or cut. Raises `RecordingError` for what is not one."""
     recording = open_recording(path)
     history = History(path, recording, recorded_mission(recording))

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from fieldkit.recording.log import Log
 from mission.analysis import plots
-from mission.analysis.history import History, read_story
+from mission.analysis.history import History, read_history
 
 
 def plot_field(recording: Path | str | Log) -> Figure:
@@ -33,4 +33,4 @@ def plot_history(recording: Path | str | Log) -> Figure:
 
 
 def _read(recording: Path | str | Log) -> History:
-    return read_story(recording.path if isinstance(recording, Log) else Path(recording))
+    return read_history(recording.path if isinstance(recording, Log) else Path(recording))

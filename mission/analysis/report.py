@@ -12,7 +12,7 @@ from fieldkit.messages import SourceEstimate
 from mission.analysis import words
 from mission.analysis.coverage import Coverage, coverage
 from mission.analysis.faults import faults
-from mission.analysis.history import History, read_story
+from mission.analysis.history import History, read_history
 from mission.analysis.refine import Fit, Refined, model_fit, refine
 from mission.analysis.use import stretches, use
 
@@ -22,7 +22,7 @@ FEW_RECEPTIONS = 3.0
 
 def write_report(log: Path, out: Path) -> dict[str, Any]:
     """Write the page on recording `log` to `out`, whole or not at all; its key figures."""
-    history = read_story(log)
+    history = read_history(log)
     covered = searched(history)
     refined = refinements(history)
     kernel = history.mission.kernel.engine
@@ -131,7 +131,7 @@ def refinements(history: History) -> list[Refined]:
 
 
 def _shown(history: History) -> list[SourceEstimate]:
-    """Sources worth a word: all but candidates that are probably none."""
+    """Sources to be named: all but candidates that are probably none."""
     return [source for source in history.final if source.state != "candidate" or source.p_exists > 0.5]
 
 

@@ -67,7 +67,7 @@ def silent(history: History, covered: Coverage) -> list[str]:
         left = history.left[-1][1]
         sentences.append(
             f"The probability that a source sending so often or oftener is still unfound is {percent(left)}"
-            + (": another search is worth it." if left > 0.2 else ".")
+            + (": another search is advisable." if left > 0.2 else ".")
         )
     return sentences
 

@@ -129,14 +129,14 @@ async def _measure(runner: Runner, shown: serve.LivePage) -> dict[str, Any]:
 
 async def _hold_all(runner: Runner, viewer: "_Viewer") -> dict[str, Any]:
     """From the command on the page's socket to the first vehicle being told, and to the last one showing it."""
-    told_s: list[float] = []
+    ordered_s: list[float] = []
     shown_s: dict[str, float] = {}
 
     def watch(link: Any) -> None:
         hold = link.hold
 
         async def watched(robot: str) -> None:
-            told_s.append(wall_s())
+            ordered_s.append(wall_s())
             await hold(robot)
             shown_s[robot] = wall_s()
 
@@ -149,7 +149,7 @@ async def _hold_all(runner: Runner, viewer: "_Viewer") -> dict[str, Any]:
     while len(shown_s) < ROBOTS and wall_s() - asked_s < HOLD_LIMIT_S:  # noqa: ASYNC110 as above
         await asyncio.sleep(0.002)
     return {
-        "hold_all_first_ms": round((min(told_s) - asked_s) * 1e3, 1),
+        "hold_all_first_ms": round((min(ordered_s) - asked_s) * 1e3, 1),
         "hold_all_last_of_16_ms": round((max(shown_s.values()) - asked_s) * 1e3, 1),
         "hold_all_held": len(shown_s),
     }

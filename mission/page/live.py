@@ -29,7 +29,7 @@ class LiveShow:
     # -- the server's thread ---------------------------------------------------------------------------------
 
     def open(self, mailbox: Mailbox) -> None:
-        """The past is told at the mission's next tick."""
+        """The past is sent at the mission's next tick."""
         mailbox.put("hello", self._hello)
         self._newcomers.append(mailbox)
 
@@ -69,8 +69,8 @@ class LiveShow:
         past = _texts(self.view.history()) if newcomers else []
         frame = ("frame", json.dumps(self.view.frame()))
         now = [frame, *_texts(self.view.grids())]
-        told = [json.dumps({"kind": "news", **each}) for each in news]
-        self.page.call(lambda: self._hand_over(now, told, newcomers, [*past, frame]))
+        encoded = [json.dumps({"kind": "news", **each}) for each in news]
+        self.page.call(lambda: self._hand_over(now, encoded, newcomers, [*past, frame]))
 
     def command(self, *given: Any) -> None:
         self.view.command(*given)

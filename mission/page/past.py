@@ -35,7 +35,7 @@ class PastShow:
         """(s, name, text)."""
         next_s = 0.0
         for item in _stream(recording):
-            _fold(view, item)
+            _apply(view, item)
             if item[1] != "event" or not isinstance(item[2].value, Tick):
                 continue
             frame = view.frame()
@@ -127,7 +127,7 @@ def _stream(recording: Recording) -> Iterator[tuple[int, str, Any]]:
     return heapq.merge(items, grids, key=itemgetter(0))
 
 
-def _fold(view: View, entry: tuple[int, str, Any]) -> None:
+def _apply(view: View, entry: tuple[int, str, Any]) -> None:
     at_ns, kind, item = entry
     match kind:
         case "event":

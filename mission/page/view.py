@@ -123,13 +123,13 @@ class View:
             case Hold(_, _, reason):
                 same = _is_same(self._commands.get(robot.name), ("hold", reason))
                 if not same and not reason.startswith("operator"):
-                    self._tell(f"{robot.name} holds: {reason}", log_time_ns)
+                    self._announce(f"{robot.name} holds: {reason}", log_time_ns)
                 self._commands[robot.name] = ("hold", reason)
                 self._paths.pop(robot.name, None)
             case CallOperator(_, _, reason):
                 self._calls[robot.name] = reason
             case _:
-                self._tell(f"{robot.name} sets out for home: {command.reason}", log_time_ns)
+                self._announce(f"{robot.name} sets out for home: {command.reason}", log_time_ns)
                 self._commands[robot.name] = ("return", command.reason)
                 self._paths.pop(robot.name, None)
 
@@ -182,7 +182,7 @@ class View:
         self.notes.append(row)
         self._news.append({"note": row})
 
-    def _tell(self, text: str, log_time_ns: int) -> None:
+    def _announce(self, text: str, log_time_ns: int) -> None:
         """A decision of safety's among the notes; the recording has it as a command."""
         self.note("info", text, log_time_ns)
 

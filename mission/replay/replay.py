@@ -114,7 +114,7 @@ def replay(
     mission = mission or recorded_mission(recording)
     kernel, safety = Kernel(mission.kernel), Safety(mission.safety)
     expected = _Expected(recording) if check else None
-    journal = MissionRecorder(kernel, mission.kernel.engine.grid.cell_m, *followers) if followers else None
+    recorder = MissionRecorder(kernel, mission.kernel.engine.grid.cell_m, *followers) if followers else None
     began = wall_s()
     count, first_ns, last_ns = 0, None, 0
     for step in recording.steps():
@@ -130,8 +130,8 @@ def replay(
             given += [("kernel", asked), ("safety", allowed)]
         if expected is not None:
             expected.compare(step, given, kernel)
-        if journal is not None:
-            _tell(journal, step, outcome, given)
+        if recorder is not None:
+            _record(recorder, step, outcome, given)
         if on_step is not None:
             on_step(t_s, step.event, outcome, kernel)
     if count == 0:
@@ -150,13 +150,15 @@ def replay(
     )
 
 
-def _tell(journal: MissionRecorder, step: Step, outcome: Outcome, given: list[tuple[str, Command]]) -> None:
-    journal.event(step.inbox_number, step.log_time_ns, step.event)
+def _record(
+    recorder: MissionRecorder, step: Step, outcome: Outcome, given: list[tuple[str, Command]]
+) -> None:
+    recorder.event(step.inbox_number, step.log_time_ns, step.event)
     for origin, command in given:
-        journal.command(
+        recorder.command(
             step.inbox_number, step.log_time_ns, command, "kernel" if origin == "kernel" else "safety"
         )
-    journal.outcome(step.inbox_number, step.log_time_ns, outcome)
+    recorder.outcome(step.inbox_number, step.log_time_ns, outcome)
 
 
 class _Expected:

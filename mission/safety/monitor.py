@@ -1,6 +1,6 @@
 """What is wrong with one robot, from what is known of it: the rules of safety, each a reason in words. Pure.
 
-Some keep it from being sent anywhere (`not_ready`), others only matter to one that is under segment
+Some keep it from being sent anywhere (`not_ready`), others only matter to one that is under way
 (`under_way_trouble`). A trouble says what follows when it lasts: home, where the robot is of no more use out there, or
 a call for the operator.
 """
@@ -285,7 +285,7 @@ def not_ready(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble 
 
 
 def under_way_trouble(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | None:
-    """What stops a robot that is under segment."""
+    """What stops a robot that is under way."""
     pose = robot.pose
     if pose is None:
         return Trouble("position", "its position is unknown")

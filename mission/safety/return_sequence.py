@@ -36,8 +36,8 @@ class _Trip:
     path: tuple[Place, ...]
     until_ns: int
     """When it should be home at the latest."""
-    told_ns: int
-    """When it was last told; long ago: it has not been told where to go now."""
+    ordered_ns: int
+    """When it was last ordered there; long ago: it has no order for where to go now."""
     leg: int = 0
     nearest_m: float = math.inf
     """The least of its way that was ever left."""
@@ -114,7 +114,7 @@ class ReturnSequence:
                 until_ns = now_ns + round(1e9 * (SLACK_S + length_m / SLOWEST_M_S))
                 trip = _Trip(self.waiting.pop(name), path, until_ns, now_ns, nearest_ns=now_ns)
                 self.under_way[name] = trip
-                commands.append(_tell(robot, trip, settings, now_ns))
+                commands.append(_order(robot, trip, settings, now_ns))
         if self.waiting and not self.under_way:
             commands += self._give_up(robots, now_ns)
         return commands
@@ -126,7 +126,7 @@ class ReturnSequence:
             return self._land(robot, trip, now_ns)
         if self._is_home(robot, trip, settings, now_ns):
             if name in settings.altitude_m:
-                trip.lands, trip.told_ns = True, LONG_AGO_NS
+                trip.lands, trip.ordered_ns = True, LONG_AGO_NS
                 return self._land(robot, trip, now_ns)
             self.forget(name)
             return [Hold(now_ns, name, f"it is home: {trip.reason}")]
@@ -144,15 +144,15 @@ class ReturnSequence:
             self.waiting[name] = trip.reason
             return [Hold(now_ns, name, "it is too near another robot; it goes on home when it can")]
         while _has_passed(trip, here, settings):
-            trip.leg, trip.told_ns = trip.leg + 1, LONG_AGO_NS
+            trip.leg, trip.ordered_ns = trip.leg + 1, LONG_AGO_NS
         if (left_m := trip.left_m(here)) < trip.nearest_m - 0.1:
             trip.nearest_m, trip.nearest_ns = left_m, now_ns
         if not trip.by_itself and (now_ns - trip.nearest_ns) * 1e-9 > settings.stall_s:
             return self._last_resort(robot, trip, settings, now_ns)
-        untold = trip.told_ns == LONG_AGO_NS
-        if untold or (_goes_elsewhere(robot, trip) and (now_ns - trip.told_ns) * 1e-9 > REPEAT_S):
-            trip.told_ns = now_ns
-            return [_tell(robot, trip, settings, now_ns)]
+        not_ordered = trip.ordered_ns == LONG_AGO_NS
+        if not_ordered or (_goes_elsewhere(robot, trip) and (now_ns - trip.ordered_ns) * 1e-9 > REPEAT_S):
+            trip.ordered_ns = now_ns
+            return [_order(robot, trip, settings, now_ns)]
         return []
 
     def _land(self, robot: Watched, trip: _Trip, now_ns: int) -> list[Command]:
@@ -164,9 +164,9 @@ class ReturnSequence:
         if now_ns > trip.until_ns or robot.somebody_elses:
             self.forget(robot.name)
             return [CallOperator(now_ns, robot.name, f"it did not land: {trip.reason}")]
-        if (vehicle is not None and vehicle.mode == "land") or (now_ns - trip.told_ns) * 1e-9 <= REPEAT_S:
+        if (vehicle is not None and vehicle.mode == "land") or (now_ns - trip.ordered_ns) * 1e-9 <= REPEAT_S:
             return []
-        trip.told_ns = now_ns
+        trip.ordered_ns = now_ns
         return [Land(now_ns, robot.name, f"it is home: {trip.reason}")]
 
     def _last_resort(
@@ -174,8 +174,8 @@ class ReturnSequence:
     ) -> list[Command]:
         """It does not get on by way-points: its own return, where a straight line home is open; else the operator."""
         if settings.bounds.permits(_seen_at(robot), trip.goal_m):
-            trip.by_itself, trip.told_ns, trip.leg = True, now_ns, len(trip.path) - 1
-            return [_tell(robot, trip, settings, now_ns)]
+            trip.by_itself, trip.ordered_ns, trip.leg = True, now_ns, len(trip.path) - 1
+            return [_order(robot, trip, settings, now_ns)]
         self.forget(robot.name)
         return [CallOperator(now_ns, robot.name, f"it does not get on on its way home: {trip.reason}")]
 
@@ -253,7 +253,7 @@ def _has_passed(trip: _Trip, here: Place, settings: SafetySettings) -> bool:
     return settings.bounds.permits(here, trip.path[trip.leg + 1])
 
 
-def _tell(robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int) -> Command:
+def _order(robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int) -> Command:
     if trip.by_itself:
         return Return(now_ns, robot.name, f"{trip.reason}; it did not get on by way-points")
     east_m, north_m = trip.path[trip.leg]

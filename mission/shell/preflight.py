@@ -43,7 +43,7 @@ class Heard:
 
     poses: dict[str, Pose] = field(default_factory=dict)
     readings: dict[str, list[float]] = field(default_factory=dict)
-    deaf: dict[str, str] = field(default_factory=dict)
+    receiver_down: dict[str, str] = field(default_factory=dict)
     """Robot to why its radio is down."""
     flies: dict[str, bool] = field(default_factory=dict)
     """Robot to whether its vehicle says that it flies."""
@@ -141,9 +141,9 @@ async def _listen(device: Receiver | VehicleLink | PositionSource, heard: Heard)
             if isinstance(item, RssReading):
                 heard.readings.setdefault(item.robot, []).append(item.rss_dbm)
             elif isinstance(item, ReceiverState) and not item.up:
-                heard.deaf[item.robot] = item.reason
+                heard.receiver_down[item.robot] = item.reason
             elif isinstance(item, ReceiverState):
-                heard.deaf.pop(item.robot, None)
+                heard.receiver_down.pop(item.robot, None)
 
 
 async def _end(task: "asyncio.Task[None]") -> None:
@@ -153,8 +153,8 @@ async def _end(task: "asyncio.Task[None]") -> None:
 
 def judge_hearing(robot: str, heard: Heard, listen_s: float) -> Check:
     """Whether a radio hears anything: the test that finds a wrong channel, network id or encryption."""
-    if robot in heard.deaf:
-        return Check(robot, "radio", "red", heard.deaf[robot], "is it plugged in?")
+    if robot in heard.receiver_down:
+        return Check(robot, "radio", "red", heard.receiver_down[robot], "is it plugged in?")
     levels = heard.readings.get(robot, [])
     if not levels:
         return Check(

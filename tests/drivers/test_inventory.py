@@ -49,14 +49,14 @@ async def test_a_dongle_is_told_from_an_xbee(tmp_path):
     assert "ti-sniffer" in result.output and "every 802.15.4 frame" in result.output
 
 
-async def test_channels_in_use_are_told_with_the_time_spent_deaf(plug):
+async def test_channels_in_use_are_told_with_the_time_spent_scanning(plug):
     radio = await plug()
     radio.module.energy_dbm = {17: -55.0}
     arguments = (cli.channels, radio.wire.port, "--scans", "2", "--scan-s", "0.2")
     found = json.loads((await asyncio.to_thread(run, *arguments, "--json")).stdout)
     busy = [each["channel"] for each in found["channels"] if each["busy_share"] == 1.0]
     assert (found["scans"], busy, len(found["channels"])) == (2, [17], 16)
-    assert found["deaf_s"] >= 0.4 and len(found["over_time"]) == 2
+    assert found["not_listening_s"] >= 0.4 and len(found["over_time"]) == 2
     assert radio.module.transmitted == 0
     assert "     17      -55.0" in (await asyncio.to_thread(run, *arguments)).stdout
 

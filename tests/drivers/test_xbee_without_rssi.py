@@ -160,7 +160,7 @@ def test_an_energy_answer_without_sense_gives_nothing(answer):
 
 
 @pytest.mark.parametrize("profile", ["s1", "s2c"])
-async def test_a_scan_is_in_the_readings_with_its_deaf_time(plug, listening, profile):
+async def test_a_scan_is_in_the_readings_with_how_long_nothing_else_was_heard(plug, listening, profile):
     radio = await plug(profile)
     radio.module.energy_dbm = {15: -62.0}
     options = {"energy_scan_s": 0.2, "energy_scan_every_s": 3600.0}
@@ -170,16 +170,16 @@ async def test_a_scan_is_in_the_readings_with_its_deaf_time(plug, listening, pro
         await heard.until(lambda: heard.readings[-1].rss_dbm == -70.0)
     kinds = ["state" if isinstance(item, ReceiverState) else item.via for item in heard.items]
     assert kinds == ["state", "state", *["ed"] * 16, "state", "rx64"]
-    opened, deaf, back = heard.states
+    opened, down, back = heard.states
     assert [state.up for state in heard.states] == [True, False, True]
-    assert "deaf" in deaf.reason and "deaf for" in back.reason
+    assert "receiver down" in down.reason and "receiver was down for" in back.reason
     scanned = [r for r in heard.items if isinstance(r, RssReading) and r.via == "ed"]
     assert {r.channel: r.rss_dbm for r in scanned}[15] == -62.0
-    assert all(deaf.t_ns <= r.t_ns < back.t_ns for r in scanned)
+    assert all(down.t_ns <= r.t_ns < back.t_ns for r in scanned)
     assert radio.module.transmitted == 0 and opened.up
 
 
-async def test_the_module_is_deaf_while_it_scans(plug, listening):
+async def test_the_module_hears_nothing_while_it_scans(plug, listening):
     radio = await plug()
     options = {"energy_scan_s": 0.5, "energy_scan_every_s": 3600.0}
     async with listening(radio.wire.port, **options) as heard:

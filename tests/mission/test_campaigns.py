@@ -39,11 +39,11 @@ def test_the_kill_campaign_would_notice_loss_and_change(tmp_path) -> None:
     rows = [f"given {topic} {number} {at} {kills._hash(data)}" for topic, number, at, data in messages]
     last_ns = max(at for topic, _, at, _ in messages if topic.startswith("/in/"))
     lost = f"given /in/tick 99 {last_ns + 1_000_000_000} 0"
-    journal = tmp_path / "journal"
-    journal.write_text("\n".join([*rows, lost, f"arrived {last_ns + 3_000_000_000}", ""]))
+    witness = tmp_path / "witness"
+    witness.write_text("\n".join([*rows, lost, f"arrived {last_ns + 3_000_000_000}", ""]))
     said = kills.judge(tmp_path)
     assert said["wrong"] == 0 and said["lost_s"] == 2.0 and said["gap_s"] == 3.0
     rows[5] = rows[5][:-1] + ("0" if rows[5][-1] != "0" else "1")
-    journal.write_text("\n".join([*rows, f"arrived {last_ns}", ""]))
+    witness.write_text("\n".join([*rows, f"arrived {last_ns}", ""]))
     said = kills.judge(tmp_path)
     assert said["wrong"] == 1 and said["lost_s"] == 0.0

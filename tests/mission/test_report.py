@@ -11,7 +11,7 @@ from fieldkit.errors import RecordingError
 from fieldkit.messages import Hold, Pose, ReceiverState, RssReading, Tick, VehicleState
 from fieldkit.recording import RecordingWriter, open_recording
 from mission.analysis.faults import faults
-from mission.analysis.history import read_story
+from mission.analysis.history import read_history
 from mission.analysis.report import write_report
 from mission.analysis.use import stretches, use
 from mission.lab.synthetic import record_simulated, small_mission
@@ -52,7 +52,7 @@ def test_the_page_says_what_was_found_and_fetches_nothing(log: Path, tmp_path: P
 
 
 def test_refined_places_are_where_the_sources_are(log: Path, tmp_path: Path) -> None:
-    history = read_story(log)
+    history = read_history(log)
     for source in write_report(log, tmp_path / "r.html")["refined"]:
         off = min(
             ((source["east_m"] - t["east_m"]) ** 2 + (source["north_m"] - t["north_m"]) ** 2) ** 0.5
@@ -100,7 +100,7 @@ def test_faults_are_told_once_each_with_how_long_they_lasted(log: Path, tmp_path
         for k in range(3):
             writer.command(number, start + k, Hold(start + k, "r3", "no position"), "safety")
         writer.note("error", "the disk is on fire", start)
-    history = read_story(path)
+    history = read_history(path)
     said = [(round(t), who, text) for t, who, text in faults(history)]
     assert (10, "r1", "receiver down for 7 s: unplugged") in said
     assert (10, "r2", "link down to the end") in said
@@ -113,7 +113,7 @@ def test_faults_are_told_once_each_with_how_long_they_lasted(log: Path, tmp_path
 
 
 def test_shares_of_a_robots_time_make_a_whole(log: Path) -> None:
-    history = read_story(log)
+    history = read_history(log)
     for each in use(history, stretches(history)):
         assert each.on_ridge + each.off_ridge + each.held == pytest.approx(1.0, abs=1e-6)
         assert each.distance_m > 0.0

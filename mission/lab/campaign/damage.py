@@ -20,7 +20,7 @@ from fieldkit.recording.records import Contents, walk
 
 Progress = Callable[[float, str], None]
 _READER_LOG = logging.getLogger("fieldkit.recording.reader")
-Told = tuple[str, int, int, bytes]
+Written = tuple[str, int, int, bytes]
 """Topic, inbox number, log time, bytes: one message as it was written."""
 
 
@@ -69,7 +69,7 @@ def _quiet() -> Iterator[None]:
         _READER_LOG.setLevel(level)
 
 
-def judge(path: Path, written: Counter[Told]) -> str:
+def judge(path: Path, written: Counter[Written]) -> str:
     """What reading a damaged file comes to: warned, refused, unharmed, silently_wrong or crashed."""
     try:
         recording = open_recording(path)
@@ -86,7 +86,7 @@ def judge(path: Path, written: Counter[Told]) -> str:
     return "unharmed" if found == written else "silently_wrong"
 
 
-def _messages(path: Path) -> Counter[Told]:
+def _messages(path: Path) -> Counter[Written]:
     """Every message that can be read, with how often."""
     return Counter(
         (channel.topic, message.sequence, message.log_time, message.data)

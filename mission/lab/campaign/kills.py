@@ -1,7 +1,7 @@
 """`fieldkit study kills`: an emulated mission killed (-9) at random moments, and what its recording then lacks.
 
 The mission runs in a process of its own on emulated radios and rovers, through the real drivers. Beside the recording
-it keeps a journal, written through to the operating system at once: every event the moment it arrives, and a hash of
+it keeps a witness, written through to the operating system at once: every event the moment it arrives, and a hash of
 every message the moment it is handed to the recording. After the kill the two are compared.
 """
 
@@ -68,8 +68,8 @@ def run(
 
 
 def judge(folder: Path) -> dict[str, Any]:
-    """Compare what is left of a killed mission with its journal."""
-    arrived_ns, journal = _read_journal(folder / "journal")
+    """Compare what is left of a killed mission with its witness."""
+    arrived_ns, witness = _read_witness(folder / "witness")
     found: list[tuple[str, int, int, str]] = []
     unreadable = not_recovered = False
     try:
@@ -82,12 +82,12 @@ def judge(folder: Path) -> dict[str, Any]:
     except RecordingError:
         not_recovered = True
     first_lost_ns = next(
-        (log_ns for topic, _, log_ns, _ in journal[len(found) :] if topic.startswith("/in/")), arrived_ns
+        (log_ns for topic, _, log_ns, _ in witness[len(found) :] if topic.startswith("/in/")), arrived_ns
     )
     last_kept_ns = max((log_ns for topic, _, log_ns, _ in found if topic.startswith("/in/")), default=0)
     # What was written in order must be there in order, without gaps, from the first message on.
-    wrong = sum(mine != written for mine, written in zip(found, journal, strict=False))
-    wrong += max(0, len(found) - len(journal))
+    wrong = sum(mine != written for mine, written in zip(found, witness, strict=False))
+    wrong += max(0, len(found) - len(witness))
     return {
         "lost_s": max(0.0, (arrived_ns - first_lost_ns) * 1e-9),
         "gap_s": max(0.0, (arrived_ns - last_kept_ns) * 1e-9) if last_kept_ns else 0.0,
@@ -98,7 +98,7 @@ def judge(folder: Path) -> dict[str, Any]:
     }
 
 
-def _read_journal(path: Path) -> tuple[int, list[tuple[str, int, int, str]]]:
+def _read_witness(path: Path) -> tuple[int, list[tuple[str, int, int, str]]]:
     """When the last event arrived, and (topic, number, log time, hash) of everything given to the recording."""
     arrived_ns, rows = 0, []
     for line in path.read_text(encoding="ascii").split("\n")[:-1]:
@@ -125,7 +125,7 @@ def _kill_one(folder: Path, seed: int, rate: float, after_s: float) -> None:
         process = subprocess.Popen(command, stdout=said, stderr=said, start_new_session=True)
     try:
         deadline_s = wall_s() + START_TIMEOUT_S
-        while not _has_begun(folder / "journal"):
+        while not _has_begun(folder / "witness"):
             if process.poll() is not None or wall_s() > deadline_s:
                 text = (folder / "said").read_text(encoding="utf-8", errors="replace")[-2000:]
                 raise DataError(f"the emulated mission did not start within {START_TIMEOUT_S:.0f} s: {text}")
@@ -137,8 +137,8 @@ def _kill_one(folder: Path, seed: int, rate: float, after_s: float) -> None:
         _end_group(process.pid)
 
 
-def _has_begun(journal: Path) -> bool:
-    return journal.exists() and b" /in/" in journal.read_bytes()
+def _has_begun(witness: Path) -> bool:
+    return witness.exists() and b" /in/" in witness.read_bytes()
 
 
 def _end_group(group: int) -> None:
@@ -150,7 +150,7 @@ def _end_group(group: int) -> None:
 
 
 def fly(folder: str, seed: int, rate: float) -> None:
-    """In the process that is killed: one emulated mission, with its journal."""
+    """In the process that is killed: one emulated mission, with its witness."""
     import asyncio
 
     from mission.lab.synthetic import hidden_sources, small_mission
@@ -160,13 +160,13 @@ def fly(folder: str, seed: int, rate: float) -> None:
 
     mission = small_mission(Path(folder), seed=seed, duration_s=600.0, sources_found=99)
     warm_up(mission)  # as every real mission does
-    journal = os.open(Path(folder) / "journal", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    witness = os.open(Path(folder) / "witness", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
     class Journaled(RecordingWriter):
         """Writes down what it is given before it is recorded."""
 
         def _add(self, topic: str, data: bytes, sequence: int, log_ns: int, publish_ns: int) -> None:
-            os.write(journal, f"given {topic} {sequence} {log_ns} {_hash(data)}\n".encode("ascii"))
+            os.write(witness, f"given {topic} {sequence} {log_ns} {_hash(data)}\n".encode("ascii"))
             super()._add(topic, data, sequence, log_ns, publish_ns)
 
     class Watched(Runner):
@@ -174,7 +174,7 @@ def fly(folder: str, seed: int, rate: float) -> None:
 
         def put(self, event: Event) -> None:
             super().put(event)
-            os.write(journal, f"arrived {self.setup.clock.now_ns()}\n".encode("ascii"))
+            os.write(witness, f"arrived {self.setup.clock.now_ns()}\n".encode("ascii"))
 
     with (
         setups.emulated(mission, hidden_sources(seed), seed=seed, rate=rate) as setup,

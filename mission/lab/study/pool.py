@@ -18,7 +18,7 @@ from fieldkit.errors import ConfigError, FieldkitError
 from fieldkit.extras import need
 
 Progress = Callable[[float, str], None]
-"""Told the share done and a line of text."""
+"""Called with the share done and a line of text."""
 Trial = Callable[[Any], dict[str, Any]]
 
 CONNECT_S = 15.0

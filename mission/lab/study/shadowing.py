@@ -1,4 +1,4 @@
-"""Missions under shadowing that belongs to places: the trust study's scenario, with the channel as it is told.
+"""Missions under shadowing that belongs to places: the trust study's scenario, on a channel the engine is given.
 
 `fieldkit study shadowing`. A source is found when a find lies within `FOUND_WITHIN_M` of it; a find further than twice
 that from every source is false.
@@ -31,17 +31,17 @@ CAP_S = 2500.0
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A world and what the engine is told of it."""
+    """A world and what the engine knows of it."""
 
     name: str
     place_db: float = 0.0
     length_m: float = 5.0
-    told: bool = True
-    """Whether the engine knows that noise belongs to places; else it is told the total."""
+    known: bool = True
+    """Whether the engine knows that noise belongs to places; else it knows the total."""
     offset_db: float = 0.0
     """Deviation of the receivers' offsets, which nobody has calibrated."""
     wander_m: float = 0.0
-    """Deviation of wandering position errors, told as they are."""
+    """Deviation of wandering position errors, given as they are."""
 
 
 SCENARIOS = (
@@ -50,8 +50,8 @@ SCENARIOS = (
         for place in (3.0, 6.0, 8.0)
         for length in (1.0, 5.0, 15.0)
     ),
-    Scenario("3 dB over 5 m, not told", 3.0, 5.0, told=False),
-    Scenario("6 dB over 5 m, not told", 6.0, 5.0, told=False),
+    Scenario("3 dB over 5 m, not known", 3.0, 5.0, known=False),
+    Scenario("6 dB over 5 m, not known", 6.0, 5.0, known=False),
     Scenario("receivers 6 dB apart, not calibrated", 3.0, 5.0, offset_db=6.0),
     Scenario("positions wander by 0.5 m", 3.0, 5.0, wander_m=0.5),
 )
@@ -66,7 +66,7 @@ class Job:
 
 
 def settings(scenario: Scenario, seed: int) -> EngineSettings:
-    """What the engine is told."""
+    """What the engine is given."""
     total_db = float(np.hypot(TIME_DB, scenario.place_db))
     power = THRESHOLD_DBM + 10.0 * EXPONENT * np.log10(3.45)
     spread = ChannelSpread(
@@ -84,7 +84,7 @@ def settings(scenario: Scenario, seed: int) -> EngineSettings:
         LEVELS_DB,
         reference_rate_hz=RATE_HZ,
         seed=seed,
-        spread=spread if scenario.told else None,
+        spread=spread if scenario.known else None,
         found_within_m=FOUND_WITHIN_M,
         pose_sigma_m=float(np.hypot(0.05, scenario.wander_m)),
     )

@@ -34,7 +34,7 @@ WRONG_S = 1500.0
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What is hidden, and how the world differs from what the engine is told."""
+    """What is hidden, and how the world differs from what the engine is given."""
 
     name: str
     sources: int = 4
@@ -98,7 +98,7 @@ def antenna(exponent: float = EXPONENT) -> Antenna:
 
 
 def settings(seed: int, *, exponent: float = EXPONENT) -> EngineSettings:
-    """What the engine is told."""
+    """What the engine is given."""
     return EngineSettings(
         Grid(FIELD_M, FIELD_M, CELL_M),
         antenna(exponent),
@@ -106,7 +106,7 @@ def settings(seed: int, *, exponent: float = EXPONENT) -> EngineSettings:
         LEVELS_DB,
         reference_rate_hz=RATE_HZ,
         seed=seed,
-        # What a mission is told of a radio whose place noise nobody measured; a find keeps to its cell, as the
+        # What a mission knows of a radio whose place noise nobody measured; a find keeps to its cell, as the
         # PRWA paper's does.
         spread=known_power(assumed(antenna(exponent))),
         found_within_m=CELL_M,
