@@ -252,6 +252,10 @@ class SourceEstimate:
     note: str = ""
     power_db: float = float("nan")
     """Posterior mean of the source's power level, relative to the calibrated transmitter."""
+    last_heard_ns: int = 0
+    """When it last sent what was heard; 0 where that is not kept."""
+    silence_odds: float = float("nan")
+    """Probability that nothing is heard of it since then by chance, had it gone on sending."""
 
 
 @dataclass(frozen=True, slots=True)

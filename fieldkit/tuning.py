@@ -115,6 +115,9 @@ class IntensityTuning(_Table):
     look_outside: float = tuned(
         0.1, 0.0, 1.0, "", "a source outside the field is looked at while it is so probably inside", HAND
     )
+    silent_odds: float = tuned(
+        0.01, 1e-6, 0.5, "", "a source whose silence is less probable by chance has gone silent", HAND
+    )
     settled: float = tuned(0.995, 0.5, 1.0, "", "a find so certain needs no further look", HAND)
     max_squared_residual: float = tuned(
         2.5, 1.0, 100.0, "", "mean squared standardised residual that says: inconsistent with the model", HAND

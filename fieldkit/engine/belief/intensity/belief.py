@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary
 from fieldkit.engine.belief.intensity.mixture import Mixture
+from fieldkit.engine.belief.intensity.silence import silence_odds
+from fieldkit.engine.belief.intensity.silence import words as silence_words
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
@@ -28,6 +30,7 @@ class IntensityBelief:
         self.grid = settings.grid
         self.mixture = Mixture(settings)
         self.model = self.mixture.model
+        self._silent: set[int] = set()
 
     @property
     def candidates(self) -> list[Candidate]:
@@ -58,7 +61,18 @@ class IntensityBelief:
         changed = self.mixture.reflect()
         if changed is not None:
             self._judge()
-        return changed is not None
+        return self._look_for_silent() or changed is not None
+
+    def _look_for_silent(self) -> bool:
+        """Whether a source has gone silent since this was last asked, or is heard again."""
+        silent = {
+            candidate.ident
+            for candidate in self.candidates
+            if candidate.receptions >= self.settings.min_receptions - 0.1
+            and silence_odds(self.mixture, candidate) < self._tuning.silent_odds
+        }
+        changed, self._silent = silent != self._silent, silent
+        return changed
 
     def _judge(self) -> None:
         """Candidate, found or inconsistent; a find that later evidence takes back says why."""
@@ -155,6 +169,11 @@ class IntensityBelief:
         estimates = []
         for candidate in self.candidates:
             summary = self.mixture.summary(candidate)
+            odds = silence_odds(self.mixture, candidate)
+            note = candidate.note
+            if candidate.ident in self._silent:
+                said = silence_words(self.mixture, candidate, self.mixture.now_ns, odds)
+                note = f"{note}; {said}" if note else said
             estimates.append(
                 SourceEstimate(
                     ident=candidate.ident,
@@ -170,8 +189,10 @@ class IntensityBelief:
                     * float(np.exp(candidate.log_absent)),
                     p_here=summary.p_here,
                     state=candidate.state,  # type: ignore[arg-type]
-                    note=candidate.note,
+                    note=note,
                     power_db=summary.power_db,
+                    last_heard_ns=candidate.last_ns,
+                    silence_odds=odds,
                 )
             )
         return estimates

@@ -19,6 +19,8 @@ from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
 from fieldkit.messages import FloatArray
 from fieldkit.tuning import IntensityTuning
 
+NEGLIGIBLE_FOLDED = 3.0
+"""By so many nats a point that was dropped is less probable than the least of those that were kept."""
 ACTIVE_NATS = 40.0
 """A detection may lower an entry by this much and still have it count when it is left out."""
 
@@ -77,6 +79,12 @@ class Candidate:
     """Receptions whose likelihoods have been folded into the evidence for good."""
     log_absent: float = 0.0
     """log P(it sent none of those): what its existence rests on does not go with them."""
+    first_ns: int | None = None
+    """When the first of the detections it claims was sent."""
+    last_ns: int = 0
+    """When the last of them was."""
+    exposure_then_s: float = 0.0
+    """How long it had been listened to by then."""
     certain_since: float | None = None
     """Receptions when its place first became certain enough, since it last was not."""
     two_source: TwoSource | None = None
@@ -157,6 +165,30 @@ class Candidate:
 
     def mean_exposure_s(self, posterior: FloatArray) -> float:
         return float((posterior * self.exposure_s).sum())
+
+    def folded(self) -> FloatArray:
+        """(h, n) what the evidence has from detections that have been folded into it for good."""
+        claimed = (share * self.logs[number].array for number, share in self.share.items() if share > 0.0)
+        return np.asarray(self.evidence - sum(claimed, start=np.zeros_like(self.evidence)))
+
+    def take_over_folded(self, other: "Candidate") -> None:
+        """Add what another has folded in, at its points nearest to one's own.
+
+        Points that the other has dropped are as good as impossible to it.
+        """
+        away = np.hypot(
+            self.points_m[:, None, 0] - other.points_m[None, :, 0],
+            self.points_m[:, None, 1] - other.points_m[None, :, 1],
+        )
+        nearest = away.argmin(axis=1)
+        far = away.min(axis=1) > max(self.spacing_m, other.spacing_m)
+        theirs = other.folded()
+        self.evidence += np.where(
+            far[None], theirs.min(axis=1)[:, None] - NEGLIGIBLE_FOLDED, theirs[:, nearest]
+        )
+        self.absorbed += other.absorbed
+        self.log_absent += other.log_absent
+        self._receptions = None
 
     def prune(self) -> None:
         """Drop points that are impossible under every power."""
@@ -246,7 +278,7 @@ def merged_gain(
     -inf where `first` has not got the other's detections at hand.
     """
     claimed = {number: share for number, share in second.share.items() if share > 0.02}
-    if any(number not in first.logs for number in claimed) or second.absorbed > 0.0:
+    if any(number not in first.logs for number in claimed):
         return -np.inf
     apart = first.log_evidence() + second.log_evidence()
     for number, share in claimed.items():
@@ -257,6 +289,8 @@ def merged_gain(
     both_sent.set_shares(
         list(claimed), [min(1.0, first.share[number] + share) for number, share in claimed.items()]
     )
+    if second.absorbed > 0.0:
+        both_sent.take_over_folded(second)
     if settle is not None:
         settle(both_sent)
     return both_sent.log_evidence() - apart

@@ -17,6 +17,7 @@ from fieldkit.engine.belief.intensity.responsibilities import (
     entries_that_count,
     known_shares,
 )
+from fieldkit.engine.belief.intensity.silence import note_heard
 from fieldkit.engine.likelihood.places import redundancy
 from fieldkit.messages import FloatArray
 
@@ -63,6 +64,8 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
         if not (moved or inconsistent):
             return False
         parts = [_re_estimated(mixture, candidate, whole)]
+        if candidate.absorbed > 0.0:
+            parts[0].take_over_folded(candidate)
         if _score(parts, whole) < _score([candidate], whole) + mixture.tuning.better_nats:
             return False
     mixture.remove(candidate)
@@ -73,9 +76,13 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
         # What has been folded in, and what was not told, counts for its rate still; its place is known from the rest.
         part.absorbed = candidate.absorbed * part.receptions / told
         part.log_absent = candidate.log_absent
+        if len(parts) == 1:
+            part.first_ns, part.last_ns = candidate.first_ns, candidate.last_ns
+            part.exposure_then_s = candidate.exposure_then_s
     mixture.candidates += parts
     for revised in parts:
         _know_all(mixture, revised)
+        note_heard(mixture, revised)
     return True
 
 

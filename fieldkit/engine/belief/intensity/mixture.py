@@ -18,6 +18,7 @@ from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, merged_gain, summarise
 from fieldkit.engine.belief.intensity.ground import ground_of
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
+from fieldkit.engine.belief.intensity.silence import note_heard
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears import Ears
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
@@ -98,12 +99,15 @@ class Mixture:
         """What candidates know of detections."""
         self._open_arena = Arena()
         """Likelihoods of the open detections over the grid."""
+        self.now_ns = 0
+        """Up to when something was heard, or listened to."""
         self._next_detection = 0
         self._next_ident = 1
         self._summaries: dict[int, Summary] = {}
 
     def listen(self, listening: Listening) -> None:
         """Add to the exposure of the ground where robots listened."""
+        self.now_ns = max(self.now_ns, listening.t1_ns)
         ears = self.ears.of_listening(listening)
         ears[:, : NORTH + 1] -= self.grid.west_m, self.grid.south_m  # loops count cells from their own corner
         if self.places is not None:
@@ -139,6 +143,7 @@ class Mixture:
     def detect(self, detections: Sequence[Detection]) -> None:
         """Take in transmissions: attribute them, and look again at the attribution of the others near them."""
         for detection in detections:
+            self.now_ns = max(self.now_ns, detection.t_ns)
             self._open(detection)
         for candidate in self.candidates:
             candidate.rate_trust = self._rate_trust(candidate)
@@ -149,6 +154,8 @@ class Mixture:
                 break
             self.sweep(self.tuning.sweeps)
         self._settle()
+        for candidate in self.candidates:
+            note_heard(self, candidate)
         self._fold()
 
     def reflect(self) -> bool | None:
@@ -461,15 +468,7 @@ class Mixture:
         candidate.points_m = np.ascontiguousarray((candidate.points_m[:, None, :] + corners).reshape(-1, 2))
         candidate.log_prior = np.repeat(candidate.log_prior - np.log(4.0), 4, axis=1)
         # What has been folded in for good is known only on the old points.
-        folded = candidate.evidence - sum(
-            (
-                share * candidate.logs[number].array
-                for number, share in candidate.share.items()
-                if share > 0.0
-            ),
-            start=np.zeros_like(candidate.evidence),
-        )
-        candidate.evidence = np.repeat(folded, 4, axis=1)
+        candidate.evidence = np.repeat(candidate.folded(), 4, axis=1)
         candidate.spacing_m = half
         candidate.expose(self.exposure_at(candidate.points_m))
         for number, share in candidate.share.items():
@@ -498,8 +497,13 @@ class Mixture:
                         for number, share in drop.share.items():
                             if number in keep.share and share > 0.0:
                                 keep.set_share(number, min(1.0, keep.share[number] + share))
-                        keep.absorbed += drop.absorbed
-                        keep.log_absent += drop.log_absent
+                        if drop.absorbed > 0.0:
+                            keep.take_over_folded(drop)
+                        keep.first_ns = min(
+                            (t for t in (keep.first_ns, drop.first_ns) if t is not None), default=None
+                        )
+                        if drop.last_ns > keep.last_ns:
+                            keep.last_ns, keep.exposure_then_s = drop.last_ns, drop.exposure_then_s
                         self.remove(drop)
                         self._summaries.pop(keep.ident, None)
                         done, merged = False, True
