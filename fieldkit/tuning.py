@@ -104,6 +104,9 @@ class IntensityTuning(_Table):
     birth_odds: float = tuned(
         1.5, 0.1, 100.0, "", "expected further sources at which one is given a candidate", HAND
     )
+    again_odds: float = tuned(
+        3.0, 1.0, 1e6, "", "times the odds at which a candidate that did not last is tried again", HAND
+    )
     death_receptions: float = tuned(0.3, 0.0, 3.0, "", "receptions under which a candidate is pruned", HAND)
     negligible_nats: float = tuned(
         20.0, 5.0, 200.0, "nat", "points so far under the best are dropped", MEMORY

@@ -28,6 +28,9 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening
 
 
+MOST_STILLBORN = 20
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenDetection:
     """A stored detection: its likelihood over the cells near it, scaled to a maximum of 1."""
@@ -93,6 +96,10 @@ class Mixture:
         """Detection to the log of the intensity with which clutter and the candidates explain it."""
         self.revise_at: dict[int, float] = {}
         """Candidate to the receptions at which its hypothesis is next told afresh."""
+        self._born: dict[int, tuple[tuple[float, float], float]] = {}
+        """Candidates born at this detection, where, and at what odds."""
+        self._stillborn: list[tuple[tuple[float, float], float]] = []
+        """The same of those that did not last."""
         self._merge_at: dict[tuple[int, int], float] = {}
         """Neighbours to the receptions of both at which it is next asked whether they are one."""
         self.arena = Arena()
@@ -154,9 +161,18 @@ class Mixture:
                 break
             self.sweep(self.tuning.sweeps)
         self._settle()
+        self._remember_births()
         for candidate in self.candidates:
             note_heard(self, candidate)
         self._fold()
+
+    def _remember_births(self) -> None:
+        """Where a candidate was tried that did not last, under place noise: there every detection would try again."""
+        lived = {candidate.ident for candidate in self.candidates}
+        if self.places is not None:
+            gone = [each for ident, each in self._born.items() if ident not in lived]
+            self._stillborn = [*self._stillborn, *gone][-MOST_STILLBORN:]
+        self._born.clear()
 
     def reflect(self) -> bool | None:
         """Tell the hypothesis of one candidate afresh; whether another was better, None where none was due."""
@@ -387,10 +403,15 @@ class Mixture:
         """A candidate where one more source explains what was heard better than none; whether there was one."""
         expected = self.another_source()
         prior = self.settings.expected_sources * self.ground.sources_a_cell / self.model.n_known
-        telling = np.where(expected > prior, expected, 0.0)
-        if telling.sum() < self.tuning.birth_odds:
+        place = np.where(expected > prior, expected, 0.0).sum(axis=0)
+        for (east, north), odds in self._stillborn:
+            # What did not last is tried again when there is much more to be said for it.
+            far2 = (self.grid.east_m[None, :] - east) ** 2 + (self.grid.north_m[:, None] - north) ** 2
+            near_it = far2 <= (self.model.reach_m / 2.0) ** 2
+            if place[near_it].sum() < self.tuning.again_odds * odds:
+                place[near_it] = 0.0
+        if place.sum() < self.tuning.birth_odds:
             return False
-        place = telling.sum(axis=0)
         row, column = np.unravel_index(int(np.argmax(place)), place.shape)
         level = int(np.argmax(expected[:, row, column]))
         near = place > 1e-4 * place.max()
@@ -421,6 +442,8 @@ class Mixture:
                     other.set_share(number, other.share[number] * (1.0 - share))
         self._summaries.clear()
         self.candidates.append(candidate)
+        at = float(self.grid.east_m[column]), float(self.grid.north_m[row])
+        self._born[candidate.ident] = (at, float(place.sum()))
         return True
 
     def new_candidate(
@@ -483,7 +506,9 @@ class Mixture:
             done = True
             for first in self.candidates:
                 for second in self.candidates:
-                    if first.ident >= second.ident or not self._close(first, second):
+                    if first.ident >= second.ident:
+                        continue
+                    if not (self._close(first, second) or self._one_in_shadow(first, second)):
                         continue
                     if not self._worth_a_look(first, second):
                         continue
@@ -511,6 +536,13 @@ class Mixture:
                 if not done:
                     break
         return merged
+
+    def _one_in_shadow(self, first: Candidate, second: Candidate) -> bool:
+        """Whether the smaller may be nothing but what shadows do to the larger, wherever it seems to be."""
+        if self.places is None:
+            return False
+        small, large = sorted((first, second), key=lambda each: each.receptions)
+        return all(number in large.logs for number, share in small.share.items() if share > 0.02)
 
     def _worth_a_look(self, first: Candidate, second: Candidate) -> bool:
         """Whether enough was heard of two neighbours since they were last found to be two; always without place noise.
