@@ -27,7 +27,6 @@ from fieldkit.engine.likelihood.places import NOTHING_EARLIER, Earlier, PlaceNoi
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening
 
-
 MOST_STILLBORN = 20
 
 
