@@ -99,11 +99,11 @@ class Operator:
 
     `release` gives a robot up to somebody else's hands, `withdraw` is safety taking one out of the mission until
     it is resumed; `remove` says that the transmitter `source` has been taken away; `exclude` closes the polygon
-    `area_m` (east, north) to all robots.
+    `area_m` (east, north) to all robots; `mark` is a person's word that a transmitter is where `robot` stands.
     """
 
     t_ns: int
-    action: Literal["hold", "resume", "return", "end", "release", "withdraw", "remove", "exclude"]
+    action: Literal["hold", "resume", "return", "end", "release", "withdraw", "remove", "exclude", "mark"]
     robot: str | None = None
     reason: str = ""
     source: int | None = None

@@ -159,6 +159,8 @@ class Kernel:
             return self._remove(event)
         if event.action == "exclude":
             return self._exclude(event)
+        if event.action == "mark":
+            return self._mark(event)
         targets = self.robots if event.robot is None else {event.robot: self.robots.get(event.robot)}
         for robot in targets.values():
             if robot is not None and event.action in ("hold", "return", "release", "withdraw"):
@@ -173,6 +175,14 @@ class Kernel:
         who = "safety" if event.action == "withdraw" else "operator"
         why = f": {event.reason}" if event.reason else ""
         return Outcome(notes=(f"{who}: {event.action} {event.robot or 'all'}{why}",))
+
+    def _mark(self, event: Operator) -> Outcome:
+        """A person's word that a transmitter is where they stand: written down, and kept apart from the belief's."""
+        robot = self.robots.get(event.robot or "")
+        if robot is None or robot.pose is None:
+            return Outcome(notes=(f"operator: mark {event.robot}: where that is, is not known",))
+        place = f"{robot.pose.east_m:.1f} m east, {robot.pose.north_m:.1f} m north"
+        return Outcome(notes=(f"{event.robot} says: a transmitter is here, at {place}",))
 
     def _remove(self, event: Operator) -> Outcome:
         """A transmitter that was taken away stays in the list and is looked for no more."""

@@ -33,6 +33,13 @@ class Remove(_Asked):
     source: Annotated[int, Field(strict=True, ge=0, le=2**31)]
 
 
+class Mark(_Asked):
+    """A person says that a transmitter is where they stand."""
+
+    action: Literal["mark"]
+    robot: Annotated[str, Field(max_length=200)]
+
+
 class Exclude(_Asked):
     """An area that is closed to all robots."""
 
@@ -40,10 +47,10 @@ class Exclude(_Asked):
     area_m: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=3, max_length=100)]
 
 
-_COMMAND: TypeAdapter[Steer | End | Remove | Exclude] = TypeAdapter(
-    Annotated[Steer | End | Remove | Exclude, Field(discriminator="action")]
+_COMMAND: TypeAdapter[Steer | End | Remove | Mark | Exclude] = TypeAdapter(
+    Annotated[Steer | End | Remove | Mark | Exclude, Field(discriminator="action")]
 )
-ACTIONS = ("hold", "resume", "return", "release", "end", "remove", "exclude")
+ACTIONS = ("hold", "resume", "return", "release", "end", "remove", "mark", "exclude")
 
 
 def message_of(data: str | bytes) -> dict[str, Any]:

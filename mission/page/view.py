@@ -74,6 +74,10 @@ class View:
         self._count = 0
         self._end = ""
         self._areas: list[list[tuple[float, float]]] = [list(p) for p in mission.file.field.keep_out]
+        self._marks: list[dict[str, Any]] = []
+        """Where people say that a transmitter is."""
+        self._targets: dict[str, list[float]] = {}
+        """Robot to the way-point it is sent to now."""
         self._exposure = Exposure(engine)
         self.tracks: dict[str, list[tuple[float, float, float]]] = {name: [] for name in engine.robots}
         """Robot to (s, east, north), thinned."""
@@ -120,17 +124,20 @@ class View:
         match command:
             case GoTo(_, _, waypoint):
                 self._commands[robot.name] = ("go to", f"{waypoint.east_m:.1f}, {waypoint.north_m:.1f} m")
+                self._targets[robot.name] = [round(waypoint.east_m, 2), round(waypoint.north_m, 2)]
             case Hold(_, _, reason):
                 same = _is_same(self._commands.get(robot.name), ("hold", reason))
                 if not same and not reason.startswith("operator"):
                     self._announce(f"{robot.name} holds: {reason}", log_time_ns)
                 self._commands[robot.name] = ("hold", reason)
+                self._targets.pop(robot.name, None)
                 self._paths.pop(robot.name, None)
             case CallOperator(_, _, reason):
                 self._calls[robot.name] = reason
             case _:
                 self._announce(f"{robot.name} sets out for home: {command.reason}", log_time_ns)
                 self._commands[robot.name] = ("return", command.reason)
+                self._targets.pop(robot.name, None)
                 self._paths.pop(robot.name, None)
 
     def detection(self, inbox_number: int, log_time_ns: int, detection: Detection) -> None:
@@ -204,7 +211,7 @@ class View:
                 "margin_m": self.mission.safety.fence_margin_m,
             },
             "robots": [
-                {"name": name, "team": number}
+                {"name": name, "team": number, "on_foot": name in self.mission.safety.on_foot}
                 for number, team in enumerate(self.mission.kernel.engine.teams)
                 for name in team
             ],
@@ -222,6 +229,7 @@ class View:
             "robots": [self._robot(robot) for robot in self._robots.values()],
             "sources": [_source(source) for source in self._sources],
             "areas_m": self._areas,
+            "marks": self._marks,
             "alarms": list(self._alarms()),
         }
 
@@ -273,6 +281,9 @@ class View:
         self._exposure.listen(places, now_ns)
 
     def _operator(self, event: Operator) -> None:
+        if event.action == "mark":
+            self._mark(event)
+            return
         if event.action == "exclude" and len(event.area_m) >= 3:
             self._areas.append([tuple(corner) for corner in event.area_m])  # type: ignore[misc]
         for name, robot in self._robots.items():
@@ -284,6 +295,13 @@ class View:
             elif event.action == "resume":
                 robot.ordered = ""
                 self._calls.pop(name, None)
+
+    def _mark(self, event: Operator) -> None:
+        """A person's word, where they stand; of somebody whose place is not known it says nothing."""
+        robot = self._robots.get(event.robot or "")
+        if robot is not None and robot.place_m is not None:
+            east_m, north_m = robot.place_m
+            self._marks.append({"by": robot.name, "east_m": round(east_m, 2), "north_m": round(north_m, 2)})
 
     def _point(self, t_ns: int) -> None:
         known = {str(s.ident): round(s.p_here, 3) for s in self._sources}
@@ -325,6 +343,7 @@ class View:
             "why": why,
             "answer": answer if order else "",
             "path_m": self._paths.get(name, []),
+            "target_m": self._targets.get(name),
         }
 
 

@@ -258,6 +258,8 @@ class Safety:
 
     def _escalate(self, robot: Watched, trouble: Trouble, lasted_s: float, now_ns: int) -> list[Command]:
         """What follows a hold that lasts."""
+        if robot.name in self.settings.on_foot:
+            return []  # people look after themselves: they go on as soon as what is wrong has passed
         after_s = self.settings.call_after_s if trouble.after_s is None else trouble.after_s
         if robot.called or robot.ordered or lasted_s < after_s:
             return []

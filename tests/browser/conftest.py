@@ -1,5 +1,5 @@
 """Fixtures for the page in a real browser; see `flying`."""
 
-from flying import browser, flown
+from flying import browser, flown, walking
 
-__all__ = ["browser", "flown"]
+__all__ = ["browser", "flown", "walking"]

@@ -6,7 +6,7 @@ import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,9 +65,10 @@ class Flown:
 
 
 @contextmanager
-def flying(folder: Path) -> Iterator[Flown]:
-    """A mission of four stand-in robots that lasts until it is ended."""
+def flying(folder: Path, on_foot: frozenset[str] = frozenset()) -> Iterator[Flown]:
+    """A mission of four stand-in robots, some of them people, that lasts until it is ended."""
     mission = small_mission(folder, duration_s=100_000.0)
+    mission = replace(mission, safety=replace(mission.safety, on_foot=on_foot))
     clock = ScaledClock(5.0)
     fleet = FakeFleet({name: Rover(*place) for name, place in start_places(mission).items()}, clock)
     receivers = {name: FakeReceiver(name, clock) for name in mission.kernel.engine.robots}
@@ -106,6 +107,13 @@ def flying(folder: Path) -> Iterator[Flown]:
 @pytest.fixture
 def flown(tmp_path: Path) -> Iterator[Flown]:
     with flying(tmp_path) as running:
+        yield running
+
+
+@pytest.fixture
+def walking(tmp_path: Path) -> Iterator[Flown]:
+    """The same with r1 on foot."""
+    with flying(tmp_path, frozenset({"r1"})) as running:
         yield running
 
 

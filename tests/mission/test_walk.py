@@ -9,8 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from fieldkit.cli import build
-from fieldkit.messages import GoTo, Hold, Pose, Tick, VehicleState, Waypoint
+from fieldkit.messages import GoTo, Hold, Operator, Pose, Tick, VehicleState, Waypoint
 from fieldkit.world.walker import Walker, WanderingError, body_loss_db
+from mission.core.kernel import Kernel
 from mission.core.mission_file import parse_mission
 from mission.core.walk_text import WalkOptions, walk_text
 from mission.lab.study.walk import GUIDES, Job, _lanes, summary, trial, walk_mission
@@ -69,6 +70,30 @@ def test_whoever_drives_near_a_person_stops_though_it_was_named_first(tmp_path: 
             safety.allow(GoTo(round(t_s * S), "r4", Waypoint(2.0, 2.0, 0.4)))
         held += [command for command in safety.observe(Tick(round(t_s * S))) if isinstance(command, Hold)]
     assert {command.robot for command in held} == {"r1"}
+
+
+def test_a_person_whose_position_was_lost_goes_on_when_it_is_back(tmp_path: Path) -> None:
+    said = {}
+    for who in ((), ("r1",)):
+        safety = people(tmp_path, *who)
+        placed(safety, "r1", 2.0, 2.0, 0.0)
+        commands = [c for k in range(300) for c in safety.observe(Tick(round(0.5 * k * S)))]
+        said[who] = {type(command).__name__ for command in commands}
+        placed(safety, "r1", 2.0, 2.0, 150.0)
+        safety.observe(Tick(150 * S))
+    assert "CallOperator" in said[()] and "CallOperator" not in said[("r1",)]
+    assert isinstance(safety.allow(GoTo(150 * S, "r1", Waypoint(4.0, 2.0, 0.4))), GoTo)
+
+
+def test_a_mark_is_a_persons_word_and_changes_nothing_else(tmp_path: Path) -> None:
+    kernel = Kernel(small_mission(tmp_path, duration_s=5.0).kernel)
+    unknown = kernel.step(Operator(S, "mark", "r1"))
+    assert unknown.notes == ("operator: mark r1: where that is, is not known",)
+    kernel.step(Pose(S, "r1", 2.0, 3.0))
+    before = kernel.digest()
+    marked = kernel.step(Operator(2 * S, "mark", "r1"))
+    assert marked.notes == ("r1 says: a transmitter is here, at 2.0 m east, 3.0 m north",)
+    assert not marked.commands and kernel.digest() == before
 
 
 # -- the world -------------------------------------------------------------------------------------------------

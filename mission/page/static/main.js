@@ -4,6 +4,7 @@ import { connect, ask } from "./socket.js";
 import { area, draw } from "./map.js";
 import { chart } from "./chart.js";
 import { clock, fill } from "./panels.js";
+import { walk } from "./walk.js";
 import { notice, setUp, showRights } from "./commands.js";
 
 const $ = (id) => document.getElementById(id);
@@ -41,7 +42,7 @@ function showState() {
 }
 
 function refresh() {
-  if (model.version.side !== filled && model.frame) { filled = model.version.side; fill(); chart(); }
+  if (model.version.side !== filled && model.frame) { filled = model.version.side; fill(); chart(); walk(); }
   // Drawn only when there is something new: a phone in the field has one battery.
   const newest = model.detections.at(-1)?.seenAt ?? -RING_MS;
   const moving = area.drawing || performance.now() - newest < RING_MS;

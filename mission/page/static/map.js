@@ -217,6 +217,17 @@ function cross(x, y, turned) {
   pen.moveTo(x - 8, y); pen.lineTo(x + 8, y); pen.moveTo(x, y - 8); pen.lineTo(x, y + 8);
 }
 
+function drawMarks(marks) { // A person's word: a flag.
+  for (const mark of marks ?? []) {
+    const [x, y] = [X(mark.east_m), Y(mark.north_m)];
+    pen.beginPath(); pen.moveTo(x, y); pen.lineTo(x, y - 20); pen.lineTo(x + 13, y - 15); pen.lineTo(x, y - 10);
+    pen.strokeStyle = css.map; pen.lineWidth = 5; pen.stroke();
+    pen.strokeStyle = css.text; pen.lineWidth = 2; pen.stroke();
+    pen.textAlign = "left"; pen.textBaseline = "bottom";
+    halo(`${mark.by}: here`, x + 6, y - 18, css.text);
+  }
+}
+
 function drawHearing(frame) { // A ring runs out from each robot that has just heard something.
   const now = performance.now();
   const places = Object.fromEntries(frame.robots.map((robot) => [robot.name, robot]));
@@ -274,6 +285,7 @@ export function draw() {
     drawAreas(frame.areas_m);
     drawTracks(frame);
     drawSources(frame);
+    drawMarks(frame.marks);
     drawHearing(frame);
     drawRobots(frame);
   }

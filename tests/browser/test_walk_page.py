@@ -1,0 +1,75 @@
+"""The page in the hand of somebody who walks: where to go, how strong it is, a tone after a tap, their own word."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from flying import Flown, looking, wait_until
+
+PHONE = {"width": 390, "height": 844}
+
+
+@pytest.fixture
+def tab(browser: Any, walking: Flown) -> Iterator[Any]:
+    with looking(browser, walking.page.command_address) as tab:
+        tab.set_viewport_size(PHONE)
+        tab.wait_for_selector("#walk:not([hidden])")
+        yield tab
+
+
+def test_the_arrow_points_to_the_advice_as_seen_by_whoever_walks(tab: Any, walking: Flown) -> None:
+    tab.wait_for_function("() => / m, /.test(document.getElementById('walk-go').textContent)")
+    told = tab.evaluate(
+        """async () => {
+          const { turn, trend } = await import("/walk.js");
+          return [turn(0, 0), turn(90, 0), turn(270, 0), turn(180, 0), turn(40, 0), turn(5, 350),
+            trend([-90, -90, -80, -80]), trend([-80, -80, -90, -90]), trend([-80, -81, -80, -81]), trend([-80])];
+        }"""
+    )
+    assert told == [
+        "straight on", "right", "left", "turn round", "half right", "straight on", "warmer", "colder", "steady", "",
+    ]  # fmt: skip
+
+
+def test_what_is_heard_shows_as_it_is_now_and_at_its_strongest(tab: Any, walking: Flown) -> None:
+    for dbm in (-80.0, -62.0, -70.0):
+        walking.receivers["r1"].hear(dbm)
+        tab.wait_for_function(f"() => document.getElementById('walk-now').textContent === '{dbm:.0f} dBm'")
+    assert tab.inner_text("#walk-peak") == "-62 dBm"
+
+
+def test_sound_is_off_until_it_is_asked_for(tab: Any, walking: Flown) -> None:
+    button = tab.locator("#walk-sound")
+    assert button.inner_text() == "Sound on" and button.get_attribute("aria-pressed") == "false"
+    button.click()
+    assert button.inner_text() == "Sound off" and button.get_attribute("aria-pressed") == "true"
+    walking.receivers["r1"].hear(-60.0)
+    tab.wait_for_function("() => document.getElementById('walk-now').textContent === '-60 dBm'")
+    button.click()
+    assert button.inner_text() == "Sound on"
+
+
+def test_found_here_is_asked_twice_and_recorded_as_a_persons_word(tab: Any, walking: Flown) -> None:
+    mark = tab.locator("#walk-mark")
+    mark.click()
+    assert not walking.asked("mark", "r1"), "asked twice"
+    mark.click()
+    wait_until(lambda: walking.asked("mark", "r1"))
+    tab.wait_for_function("() => window.fieldkit.frame.marks.length === 1")
+    assert not [s for s in walking.runner.kernel.sources() if s.state == "found"]
+
+
+def test_one_hand_reaches_everything_and_nothing_is_cut_off(tab: Any, walking: Flown) -> None:
+    for name in ("#walk-sound", "#walk-mark", "#hold-all"):
+        box = tab.locator(name).bounding_box()
+        assert box["height"] >= 40, f"{name} is too low for a thumb"
+        assert box["x"] >= 0 and box["x"] + box["width"] <= PHONE["width"]
+    assert tab.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), (
+        "nothing to scroll sideways"
+    )
+
+
+def test_a_mission_without_people_has_no_such_panel(browser: Any, flown: Flown) -> None:
+    with looking(browser, flown.page.command_address) as tab:
+        tab.wait_for_selector("#robots .card")
+        assert tab.locator("#walk").is_hidden()
