@@ -4,7 +4,7 @@ Instants `t_ns` are UTC nanoseconds. Positions are in the field's local frame: m
 the field's south-west corner. Headings are degrees clockwise from true north.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -203,6 +203,20 @@ class Detection:
     def heard(self) -> NDArray[np.bool_]:
         """(m,) True where the robot heard the transmission."""
         return ~np.isnan(self.rss_dbm)
+
+
+def part_of(detection: Detection, keep: NDArray[np.bool_]) -> Detection:
+    """The detection with only the robots that `keep` (m,) says."""
+    return replace(
+        detection,
+        robots=tuple(robot for robot, kept in zip(detection.robots, keep, strict=True) if kept),
+        position_m=detection.position_m[keep],
+        heading_deg=detection.heading_deg[keep],
+        rss_dbm=detection.rss_dbm[keep],
+        saturated=detection.saturated[keep],
+        up_m=detection.up_m[keep] if detection.up_m.size else detection.up_m,
+        sigma_m=detection.sigma_m[keep] if detection.sigma_m.size else detection.sigma_m,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

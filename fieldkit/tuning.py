@@ -118,6 +118,9 @@ class IntensityTuning(_Table):
     look_outside: float = tuned(
         0.1, 0.0, 1.0, "", "a source outside the field is looked at while it is so probably inside", HAND
     )
+    slowest: float = tuned(
+        0.5, 0.01, 1.0, "", "slowest senders that `probability_left` is for, in reference rates", HAND
+    )
     silent_odds: float = tuned(
         0.01, 1e-6, 0.5, "", "a source whose silence is less probable by chance has gone silent", HAND
     )

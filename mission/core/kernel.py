@@ -13,7 +13,7 @@ import numpy as np
 
 from fieldkit import plugins
 from fieldkit.engine.association.detections import Associator
-from fieldkit.engine.belief.base import Belief
+from fieldkit.engine.belief.base import Belief, SayingBelief
 from fieldkit.engine.planning.base import Planner, Situation
 from fieldkit.messages import (
     Command,
@@ -217,6 +217,8 @@ class Kernel:
         for stretch in stretches:
             self.belief.listen(stretch)
         changed = self._believe(now_ns, detections)
+        if isinstance(self.belief, SayingBelief):
+            notes += self.belief.said()
         found_more = changed and self._note_finds(now_ns, notes)
         if reason := self._reason_to_end(now_ns, changed):
             ended = self._end(now_ns, reason)
@@ -292,7 +294,8 @@ class Kernel:
         if limit is None or not (changed or self.turns.is_due(now_ns)):
             return ""
         if (left := self.belief.probability_left()) < limit:
-            return f"the probability that a source is left is {left:.3f}"
+            words = self.belief.left_words() if isinstance(self.belief, SayingBelief) else ""
+            return f"the probability that a source is left is {left:.3f}" + (f", {words}" if words else "")
         return ""
 
     def _height_missing(self, robot: str) -> Outcome:

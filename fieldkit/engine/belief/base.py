@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
@@ -30,6 +30,19 @@ class Unresolved:
     """As in `SourceEstimate.state`."""
     may_be_two: bool
     """Whether two sources explain what was heard about as well."""
+
+
+@runtime_checkable
+class SayingBelief(Protocol):
+    """A belief that has something to say: of the receivers, and for which sources `probability_left` holds."""
+
+    def said(self) -> list[str]:
+        """What is new to say of the receivers since this was last asked: which is deaf, which reports too much."""
+        ...
+
+    def left_words(self) -> str:
+        """For which senders `probability_left` holds."""
+        ...
 
 
 class Belief(Protocol):

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import gamma
 
 from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary
@@ -73,6 +74,11 @@ class IntensityBelief:
         }
         changed, self._silent = silent != self._silent, silent
         return changed
+
+    def said(self) -> list[str]:
+        """What is new to say of the receivers since this was last asked."""
+        said, self.mixture.said = self.mixture.said, []
+        return said
 
     def _judge(self) -> None:
         """Candidate, found or inconsistent; a find that later evidence takes back says why."""
@@ -251,8 +257,19 @@ class IntensityBelief:
         return result
 
     def probability_left(self) -> float:
-        """P(at least one source of the reference rate not found): unheard ground, and candidates not yet found."""
-        none_left = float(np.exp(-self._another_source().sum()))
+        """P(at least one source not found): unheard ground, and candidates not yet found.
+
+        Rates are Gamma distributed as those of candidates, but for senders slower than `slowest` of the reference
+        rate: of those nobody can be sure in any time, and `left_words` says so.
+        """
+        rates_hz, weights = rates_above(
+            self.settings.reference_rate_hz, self._tuning.rate_shape, self._tuning.slowest
+        )
+        expected = sum(
+            weight * float(self._another_source(rate).sum())
+            for rate, weight in zip(rates_hz, weights, strict=True)
+        )
+        none_left = float(np.exp(-expected))
         for candidate in self.candidates:
             if candidate.state != "found":
                 in_field = self.mixture.summary(candidate).p_in_field
@@ -268,10 +285,15 @@ class IntensityBelief:
         result: FloatArray = np.minimum(self._another_source(), 0.5)
         return result
 
-    def _another_source(self) -> FloatArray:
+    def left_words(self) -> str:
+        """For which senders `probability_left` holds."""
+        slowest_s = 1.0 / (self._tuning.slowest * self.settings.reference_rate_hz)
+        return f"of sources that send at least once in {slowest_s:.0f} s on average"
+
+    def _another_source(self, rate_hz: float | None = None) -> FloatArray:
         """(n_north, n_east) the same, of the field alone, without a limit."""
         ground = self.mixture.ground
-        return ground.of_field(self.mixture.another_source().sum(axis=0)) / ground.factor**2
+        return ground.of_field(self.mixture.another_source(rate_hz).sum(axis=0)) / ground.factor**2
 
     def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
         """What is worth another look: candidates not found, finds that may be two sources or lie a cell off.
@@ -326,3 +348,16 @@ class IntensityBelief:
             state.update(candidate.evidence.tobytes())
             state.update(repr(sorted(candidate.share.items())).encode())
         return state.digest()
+
+
+def rates_above(
+    reference_hz: float, shape: float, slowest: float, count: int = 3
+) -> tuple[FloatArray, FloatArray]:
+    """Rates and their weights that stand for a Gamma distribution of mean `reference_hz`, from `slowest` of it on.
+
+    Each is the median of one of `count` parts that are equally probable.
+    """
+    law = gamma(shape, scale=reference_hz / shape)
+    low = law.cdf(slowest * reference_hz)
+    middle = low + (np.arange(count) + 0.5) / count * (1.0 - low)
+    return np.asarray(law.ppf(middle)), np.full(count, 1.0 / count)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fieldkit.channel.antenna_file import Receiver
 from fieldkit.engine.belief.intensity import hypotheses as hypotheses
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
@@ -19,15 +20,18 @@ from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, merge
 from fieldkit.engine.belief.intensity.ground import ground_of
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
 from fieldkit.engine.belief.intensity.silence import note_heard
+from fieldkit.engine.belief.intensity.watch import Watch
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears import Ears
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
 from fieldkit.engine.likelihood.levels import LevelsModel
 from fieldkit.engine.likelihood.places import NOTHING_EARLIER, Earlier, PlaceNoise, levels_of, redundancy
 from fieldkit.engine.settings import EngineSettings
-from fieldkit.messages import Detection, FloatArray, Listening
+from fieldkit.messages import Detection, FloatArray, Listening, part_of
 
 MOST_STILLBORN = 20
+WATCHED_FROM = 5.0
+"""Receptions from which on a candidate is known well enough to measure receivers by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +109,10 @@ class Mixture:
         """What candidates know of detections."""
         self._open_arena = Arena()
         """Likelihoods of the open detections over the grid."""
+        self.watch = Watch()
+        """Receivers against each other."""
+        self.said: list[str] = []
+        """What there is to say of them, until somebody has read it."""
         self.now_ns = 0
         """Up to when something was heard, or listened to."""
         self._next_detection = 0
@@ -114,13 +122,16 @@ class Mixture:
     def listen(self, listening: Listening) -> None:
         """Add to the exposure of the ground where robots listened."""
         self.now_ns = max(self.now_ns, listening.t1_ns)
-        ears = self.ears.of_listening(listening)
+        hearing = [not self._is_deaf(robot) for robot in listening.robots]
+        if not any(hearing):
+            return
+        ears = self.ears.of_listening(listening)[hearing]
         ears[:, : NORTH + 1] -= self.grid.west_m, self.grid.south_m  # loops count cells from their own corner
         if self.places is not None:
             self.places.listen(self.exposure_s, self.grid.cell_m, ears, listening.duration_s)
             return
         model = self.model
-        if not self.settings.receivers and not self.settings.antenna.pattern_db and not ears[:, UP].any():
+        if not self.ears.receivers and not self.settings.antenna.pattern_db and not ears[:, UP].any():
             levels_loops.add_exposure(
                 self.exposure_s,
                 self.grid.cell_m,
@@ -161,9 +172,41 @@ class Mixture:
             self.sweep(self.tuning.sweeps)
         self._settle()
         self._remember_births()
+        self._watch(detections)
         for candidate in self.candidates:
             note_heard(self, candidate)
         self._fold()
+
+    def _is_deaf(self, robot: str) -> bool:
+        return robot in self.watch.of and self.watch.of[robot].deaf
+
+    def _without_deaf(self, detection: Detection) -> Detection:
+        """The detection without robots whose silence says nothing."""
+        keep = ~np.isnan(detection.rss_dbm) | np.array([not self._is_deaf(r) for r in detection.robots])
+        return detection if keep.all() else part_of(detection, keep)
+
+    def _watch(self, detections: Sequence[Detection]) -> None:
+        """Measure receivers by what has just been heard of sources that are well known."""
+        for number, detection in zip(list(self.open)[-len(detections) :], detections, strict=False):
+            for candidate in self.candidates:
+                known = candidate.receptions >= WATCHED_FROM and self.summary(candidate).p_here >= 0.5
+                if known and candidate.share.get(number, 0.0) >= 0.9:
+                    self.watch.take_in(self, self.ears.corrected(detection), candidate)
+        before = {robot: its.offset_db for robot, its in self.watch.of.items()}
+        self.said += [*self.watch.judge(self.settings.antenna.sigma_db), *self.watch.common(self)]
+        learnt = {robot: its.offset_db for robot, its in self.watch.of.items() if its.offset_db != 0.0}
+        if learnt and learnt != {robot: offset for robot, offset in before.items() if offset != 0.0}:
+            self._correct(learnt)
+
+    def _correct(self, learnt: dict[str, float]) -> None:
+        """Take what was learnt off further readings; those that are in already stay as they are."""
+        receivers = dict(self.settings.receivers)
+        for robot, offset_db in learnt.items():
+            own = receivers.get(robot, Receiver())
+            receivers[robot] = replace(own, offset_db=own.offset_db + offset_db)
+        self.ears = replace(self.ears, receivers=receivers)
+        self._cell_ears = replace(self._cell_ears, receivers=receivers)
+        self.model.ears = self.ears
 
     def _remember_births(self) -> None:
         """Where a candidate was tried that did not last, under place noise: there every detection would try again."""
@@ -184,7 +227,7 @@ class Mixture:
     def _open(self, detection: Detection) -> None:
         number = self._next_detection
         self._next_detection += 1
-        stored = self._store(self.ears.corrected(detection))
+        stored = self._store(self._without_deaf(self.ears.corrected(detection)))
         self.open[number] = stored
         self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
         for candidate in self.candidates:
@@ -377,12 +420,13 @@ class Mixture:
             )
         return self._summaries[candidate.ident]
 
-    def another_source(self) -> FloatArray:
-        """(known levels, n_north, n_east) expected number of sources of the reference rate not among the candidates.
+    def another_source(self, rate_hz: float | None = None) -> FloatArray:
+        """(known levels, n_north, n_east) expected number of sources of this rate not among the candidates.
 
         Prior times likelihood ratio: silence lowers it, detections that the candidates explain badly raise it. So
         it covers unsearched ground, unclaimed detections, and sources that hide behind a found neighbour.
         """
+        rate_hz = rate_hz or self.settings.reference_rate_hz
         ratio = np.empty((self.model.n_known, *self.grid.shape))
         stored = self.open.values()
         scale = np.array([s.log_scale for s in stored]) - np.array([self.explained[k] for k in self.open])
@@ -390,9 +434,9 @@ class Mixture:
             self._open_arena.values,
             starts([s.like for s in stored]),
             np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
-            self.settings.reference_rate_hz * np.exp(scale),
+            rate_hz * np.exp(scale),
             self.known_exposure_s(),
-            self.settings.reference_rate_hz,
+            rate_hz,
             ratio,
         )
         prior = self.settings.expected_sources * self.ground.sources_a_cell / self.model.n_known

@@ -1,0 +1,142 @@
+"""Receivers watched against each other: one that reports more or less than the others, and one that is deaf.
+
+All receivers are measured by the same candidates. What one reports more than they predict, beyond what the others
+report more, is its own offset; what it does not hear though it should have is deafness. A receiver is named when that
+can hardly be chance; from then on its readings are corrected, or its silence is left out. What all report more than the
+power levels allow is the sources' or the antenna file's, and is said once.
+"""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import ndtr
+from scipy.stats import binom
+
+from fieldkit.engine.belief.intensity.candidate import Candidate
+from fieldkit.engine.likelihood.ears_loops import THRESHOLD
+from fieldkit.messages import Detection
+
+if TYPE_CHECKING:
+    from fieldkit.engine.belief.intensity.mixture import Mixture
+
+LAST = 40
+"""So many of a receiver's last packets are looked at."""
+LEAST = 8
+"""Fewer say nothing."""
+LEAST_OFFSET_DB, OFFSET_SIGMAS = 3.0, 3.5
+REFINED_DB = 1.0
+"""What was learnt of a named receiver is mended by no less than this."""
+DEAF_BELOW = 1e-4
+"""Probability of hearing so few by chance."""
+SURE = 0.8
+"""Only packets that were to be heard so probably are looked at: weak ones are heard when they read strong."""
+
+
+@dataclass
+class Heard:
+    """Of one receiver."""
+
+    residual_db: list[float] = field(default_factory=list)
+    """Of the packets that were to be heard and were."""
+    heard: list[bool] = field(default_factory=list)
+    """Whether each of those was."""
+    should: list[float] = field(default_factory=list)
+    """P(heard) of each of those."""
+    offset_db: float = 0.0
+    """What is taken off its readings."""
+    deaf: bool = False
+
+
+class Watch:
+    """See the module. Deterministic."""
+
+    def __init__(self) -> None:
+        self.of: dict[str, Heard] = {}
+        self._common_said = False
+
+    def take_in(self, mixture: "Mixture", detection: Detection, sender: Candidate) -> None:
+        """A detection, as corrected so far, that a well known candidate sent beyond doubt."""
+        fixed = sender.posterior()[: mixture.model.level_dbm.size]
+        ears = mixture.ears.of_detection(detection)
+        loss = mixture.ears.attenuation_db(sender.points_m, ears)
+        mean = mixture.model.level_dbm @ fixed.sum(axis=1) - fixed.sum(axis=0) @ loss
+        mean = mean / fixed.sum()
+        margin = (mean - ears[:, THRESHOLD] - 0.5) / mixture.settings.antenna.sigma_db
+        should = (1.0 - mixture.model.tuning.packet_loss) * ndtr(margin)
+        for robot, rss, expected, p in zip(detection.robots, detection.rss_dbm, mean, should, strict=True):
+            if p < SURE:
+                continue
+            its = self.of.setdefault(robot, Heard())
+            its.heard = [*its.heard, not np.isnan(rss)][-LAST:]
+            its.should = [*its.should, float(p)][-LAST:]
+            if not np.isnan(rss):
+                its.residual_db = [*its.residual_db, float(rss - expected)][-LAST:]
+
+    def judge(self, sigma_db: float) -> list[str]:
+        """What is new to say of receivers; offsets and deafness are brought up to date."""
+        said = []
+        for robot, its in self.of.items():
+            said += self._judge_deaf(robot, its)
+            said += self._judge_offset(robot, its, sigma_db)
+        return said
+
+    def _judge_deaf(self, robot: str, its: Heard) -> list[str]:
+        count, heard = len(its.heard), sum(its.heard)
+        if count < LEAST:
+            return []
+        chance = float(binom.cdf(heard, count, float(np.mean(its.should))))
+        if not its.deaf and chance < DEAF_BELOW:
+            its.deaf = True
+            return [
+                f"{robot}: heard {heard} of {count} packets that were to be heard where it was: is its antenna "
+                "connected? Its silence is left out"
+            ]
+        if its.deaf and chance > 0.01:
+            its.deaf = False
+            return [f"{robot}: hears again ({heard} of {count} packets); its silence counts"]
+        return []
+
+    def _judge_offset(self, robot: str, its: Heard, sigma_db: float) -> list[str]:
+        others = [
+            float(np.mean(other.residual_db))
+            for name, other in self.of.items()
+            if name != robot and len(other.residual_db) >= LEAST
+        ]
+        count = len(its.residual_db)
+        if count < LEAST or not others:
+            return []
+        more_db = float(np.mean(its.residual_db)) - float(np.median(others))
+        # Readings of a place hang together: half of them count.
+        error_db = sigma_db * np.sqrt(2.0 / count + 2.0 / (count * len(others)))
+        named = its.offset_db != 0.0
+        if abs(more_db) < max(REFINED_DB if named else LEAST_OFFSET_DB, OFFSET_SIGMAS * error_db):
+            return []
+        its.offset_db += more_db
+        its.residual_db.clear()
+        if named and abs(more_db) < LEAST_OFFSET_DB:
+            return []
+        return [
+            f"{robot}: reports {more_db:+.1f} dB against the other receivers ({count} readings); "
+            f"{its.offset_db:+.1f} dB are taken off its readings. Calibrate it: fieldkit calibrate --receiver-offsets"
+        ]
+
+    def common(self, mixture: "Mixture") -> list[str]:
+        """Said once: all sources read stronger, or weaker, than any level that was told."""
+        low, high = min(mixture.settings.power_levels_db), max(mixture.settings.power_levels_db)
+        powers = [mixture.summary(each).power_db for each in mixture.candidates if each.receptions >= 4.0]
+        beyond = np.array([power - np.clip(power, low, high) for power in powers])
+        spread = mixture.settings.spread
+        known = spread is None or spread.transmitter_db < LEAST_OFFSET_DB
+        if (
+            self._common_said
+            or beyond.size < 2
+            or not known
+            or abs(float(np.median(beyond))) < LEAST_OFFSET_DB
+        ):
+            return []
+        self._common_said = True
+        return [
+            f"the sources read {float(np.median(beyond)):+.0f} dB beyond the power levels in the mission file: the "
+            "antenna file may be of other radios; the power is taken for unknown as far as that"
+        ]

@@ -1,0 +1,77 @@
+"""Receivers against each other: a shifted one is named and corrected, a deaf one is named and its silence left out."""
+
+import numpy as np
+import pytest
+
+from fieldkit.channel.model import Antenna
+from fieldkit.engine.belief.intensity.belief import IntensityBelief
+from fieldkit.engine.grid import Grid
+from fieldkit.engine.settings import EngineSettings
+from fieldkit.messages import Detection, Listening
+
+RADIO = Antenna(2.5, -50.0, 3.0, -85.0)
+ROBOTS = ("a", "b", "c")
+FIELD = EngineSettings(Grid(20.0, 20.0, 0.5), RADIO, (("a", "b"), ("c",)), (0.0,))
+SOURCE = np.array([9.0, 11.0])
+S = 1_000_000_000
+
+
+def heard(seed: int, *, offset_db=(0.0, 0.0, 0.0), deaf: str = "", packets: int = 40, power_db: float = 0.0):
+    belief, rng, said = IntensityBelief(FIELD), np.random.default_rng(seed), []
+    for k in range(packets):
+        place = rng.uniform(4.0, 16.0, (3, 2))
+        z = RADIO.mean_rss_dbm(np.hypot(*(place - SOURCE).T), power_db) + rng.normal(0.0, 3.0, 3)
+        z = np.where(np.round(z) > RADIO.threshold_dbm, np.round(z) + offset_db, np.nan)
+        z = np.where(np.array(ROBOTS) == deaf, np.nan, z)
+        belief.listen(Listening(20 * k * S, 20 * (k + 1) * S, ROBOTS, place))
+        belief.detect(Detection(20 * k * S, ROBOTS, place, np.zeros(3), z, np.zeros(3, bool)))
+        said += belief.said()
+    return belief, said
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_nothing_is_said_of_receivers_that_are_alike(seed: int) -> None:
+    assert heard(seed)[1] == []
+
+
+@pytest.mark.parametrize("offset_db", [6.0, -8.0])
+def test_a_shifted_receiver_is_named_and_its_offset_learnt(offset_db: float) -> None:
+    belief, said = heard(1, offset_db=(0.0, offset_db, 0.0), packets=60)
+    assert said[0].startswith("b: reports ") and not any(text.startswith(("a", "c")) for text in said)
+    assert belief.mixture.watch.of["b"].offset_db == pytest.approx(offset_db, abs=2.0)
+    assert belief.mixture.ears.receivers["b"].offset_db == belief.mixture.watch.of["b"].offset_db
+
+
+def test_a_deaf_receiver_is_named_and_its_silence_left_out() -> None:
+    belief, said = heard(1, deaf="c")
+    assert said == [text for text in said if text.startswith("c: heard 0 of ")] and len(said) == 1
+    before = belief.exposure_s.sum()
+    belief.listen(Listening(0, 100 * S, ("c",), np.array([[5.0, 5.0]])))
+    assert belief.exposure_s.sum() == before
+    last = list(belief.mixture.open.values())[-1].detection
+    assert "c" not in last.robots
+
+
+def test_a_deaf_receiver_that_hears_again_counts_again() -> None:
+    belief, said = heard(1, deaf="c")
+    rng = np.random.default_rng(9)
+    for k in range(80):
+        place = rng.uniform(4.0, 16.0, (3, 2))
+        z = np.round(RADIO.mean_rss_dbm(np.hypot(*(place - SOURCE).T)) + rng.normal(0.0, 3.0, 3))
+        belief.detect(Detection((2000 + k) * S, ROBOTS, place, np.zeros(3), z, np.zeros(3, bool)))
+        said += belief.said()
+    assert any(text.startswith("c: hears again") for text in said)
+    assert not belief.mixture.watch.of["c"].deaf
+
+
+def test_sources_that_all_read_stronger_than_was_told_are_said_once() -> None:
+    belief, rng, said = IntensityBelief(FIELD), np.random.default_rng(2), []
+    for k in range(60):
+        place = rng.uniform(1.0, 19.0, (3, 2))
+        source = np.array([[5.0, 6.0], [15.0, 13.0]][k % 2])
+        z = np.round(RADIO.mean_rss_dbm(np.hypot(*(place - source).T), 8.0) + rng.normal(0.0, 3.0, 3))
+        belief.listen(Listening(20 * k * S, 20 * (k + 1) * S, ROBOTS, place))
+        belief.detect(Detection(20 * k * S, ROBOTS, place, np.zeros(3), z, np.zeros(3, bool)))
+        said += belief.said()
+    common = [text for text in said if "beyond the power levels" in text]
+    assert len(common) == 1 and "+8 dB" in common[0]
