@@ -198,6 +198,8 @@ class Detection:
     saturated: NDArray[np.bool_]
     up_m: FloatArray = field(default_factory=lambda: np.empty(0))
     sigma_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    sender: str | None = None
+    """The address that the frame names; beliefs look at it only where a mission has `sources.identity` "address"."""
 
     @property
     def heard(self) -> NDArray[np.bool_]:
@@ -264,6 +266,8 @@ class SourceEstimate:
     """Probability that the source is as near to (east_m, north_m) as a find has to be: `found_within_m` or one cell."""
     state: SourceState
     note: str = ""
+    name: str = ""
+    """The sender's address, where sources are told by it."""
     power_db: float = float("nan")
     """Posterior mean of the source's power level, relative to the calibrated transmitter."""
     last_heard_ns: int = 0

@@ -56,6 +56,8 @@ class EngineSettings:
     """Standard deviation of each coordinate of the robots' positions; a pose that says it is worse is believed."""
     source_up_m: float = 0.0
     """How high transmitters are above the field's origin."""
+    identity: Literal["anonymous", "address"] = "anonymous"
+    """`address`: each address that frames name is one source, and nobody guesses who sent what."""
     receivers: Mapping[str, Receiver] = field(default_factory=dict, hash=False)
     """Robots whose radio is not like the calibrated one."""
     seed: int = 0

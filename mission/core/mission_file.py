@@ -281,6 +281,7 @@ def _engine(
         fence_margin_m=safety.fence_margin_m,
         pose_sigma_m=table.pose_sigma_m,
         source_up_m=file.sources.up_m,
+        identity=file.sources.identity,
         receivers=_receivers(file, antenna),
         keep_out=safety.keep_out,
         seed=file.seed,

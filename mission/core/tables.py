@@ -134,6 +134,8 @@ class SourcesTable(Table):
     rate_hz: float = value(given.RATE_HZ)
     expected: float = value(given.EXPECTED_SOURCES)
     up_m: float = value(given.SOURCE_UP_M)
+    identity: Literal["anonymous", "address"] = "anonymous"
+    """`address`: each address that frames name is one source; frames that name none are of nobody known."""
 
 
 class EngineTable(Table):

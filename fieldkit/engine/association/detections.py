@@ -29,6 +29,11 @@ ASTRAY_WINDOWS = 3
 """A reception up to so many windows away may belong to the same transmission, heard by a clock that is off."""
 
 
+def sender_of(frame_id: str | None) -> str | None:
+    """The address in a frame's id: what stands before its number or its checksum."""
+    return None if frame_id is None else re.split(r"[/#]", frame_id, maxsplit=1)[0] or None
+
+
 Place = tuple[float, float, float, float, float]
 """East and north in metres, heading in degrees, height and deviation in metres."""
 
@@ -231,6 +236,7 @@ class Associator:
             saturated,
             up_m=place[:, 3].copy(),
             sigma_m=place[:, 4].copy(),
+            sender=sender_of(group.frame_id),
         )
 
     def _out_of_step(self, group: _Group) -> set[str]:

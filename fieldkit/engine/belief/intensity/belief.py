@@ -196,6 +196,7 @@ class IntensityBelief:
                     p_here=summary.p_here,
                     state=candidate.state,  # type: ignore[arg-type]
                     note=note,
+                    name=candidate.name,
                     power_db=summary.power_db,
                     last_heard_ns=candidate.last_ns,
                     silence_odds=odds,

@@ -88,6 +88,8 @@ class Candidate:
     certain_since: float | None = None
     """Receptions when its place first became certain enough, since it last was not."""
     two_source: TwoSource | None = None
+    name: str = ""
+    """The address it sends under, where sources are told by it."""
     state: str = "candidate"
     note: str = ""
 

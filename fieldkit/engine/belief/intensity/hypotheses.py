@@ -35,7 +35,7 @@ def revise(mixture: "Mixture") -> bool | None:
     """
     for candidate in mixture.candidates:
         due = mixture.revise_at.setdefault(candidate.ident, mixture.tuning.first_look)
-        if candidate.receptions >= due:
+        if candidate.receptions >= due and any(share > 0.05 for share in candidate.share.values()):
             return _revise(mixture, candidate)
     return None
 
@@ -47,7 +47,7 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     blank = _fresh(mixture, candidate, share, most=mixture.tuning.compared_points)
     single = blank.copy()
     single.set_shares(list(share), list(share.values()))
-    pairs = _two(mixture, blank, share)
+    pairs = [] if candidate.name else _two(mixture, blank, share)
     scores = [_score(pair, share) for pair in pairs]
     odds_nats = max(scores, default=-np.inf) - _score([single], share)
     undecided = odds_nats > mixture.tuning.undecided_nats
@@ -71,6 +71,7 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     mixture.remove(candidate)
     parts[0].ident = candidate.ident
     parts[0].state = candidate.state
+    parts[0].name = candidate.name
     told = math.fsum(part.receptions for part in parts)
     for part in parts:
         # What has been folded in, and what was not told, counts for its rate still; its place is known from the rest.
@@ -123,7 +124,12 @@ def _mean(candidate: Candidate) -> FloatArray:
 
 def _know_all(mixture: "Mixture", candidate: Candidate) -> None:
     for number, other in mixture.open.items():
-        if number not in candidate.logs and mixture.in_reach(candidate, other):
+        if number in candidate.logs:
+            continue
+        if candidate.name and other.detection.sender == candidate.name:
+            candidate.know(number, mixture.log_likelihood(candidate, number))
+            candidate.set_share(number, 1.0)
+        elif not candidate.name and number not in mixture.named and mixture.in_reach(candidate, other):
             candidate.know(number, mixture.log_likelihood(candidate, number))
 
 

@@ -111,6 +111,9 @@ class Mixture:
         """Likelihoods of the open detections over the grid."""
         self.watch = Watch()
         """Receivers against each other."""
+        self.named: set[int] = set()
+        """Open detections whose sender is known."""
+        self._nameless = False
         self.said: list[str] = []
         """What there is to say of them, until somebody has read it."""
         self.now_ns = 0
@@ -230,9 +233,33 @@ class Mixture:
         stored = self._store(self._without_deaf(self.ears.corrected(detection)))
         self.open[number] = stored
         self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
+        if self.settings.identity == "address" and detection.sender is not None:
+            self._claim_by_name(number, stored, detection.sender)
+            return
+        if self.settings.identity == "address" and not self._nameless:
+            self._nameless = True
+            self.said.append(
+                "sources.identity is 'address', and frames come in that name no sender: those are told apart by "
+                "where they are heard, as anonymous ones"
+            )
         for candidate in self.candidates:
-            if self.in_reach(candidate, stored):
+            if not candidate.name and self.in_reach(candidate, stored):
                 candidate.know(number, self.log_likelihood(candidate, number))
+
+    def _claim_by_name(self, number: int, stored: OpenDetection, name: str) -> None:
+        """A detection that names its sender belongs to that sender, who may be new, for certain."""
+        sender = next((each for each in self.candidates if each.name == name), None)
+        if sender is None:
+            row0, row1, column0, column1 = stored.box
+            sender = self.new_candidate((column0, column1), (row0, row1), spacing=1.0)
+            sender.name = name
+            self.candidates.append(sender)
+        sender.know(number, self.log_likelihood(sender, number))
+        sender.set_share(number, 1.0)
+        self.unclaimed[number] = 0.0
+        self.explained[number] = 50.0  # nobody else needs to explain it
+        self.named.add(number)
+        self._summaries.pop(sender.ident, None)
 
     def log_likelihood(self, candidate: Candidate, number: int) -> FloatArray:
         """(h, n) of an open detection over the candidate's points, given what it claims to have sent before."""
@@ -354,8 +381,8 @@ class Mixture:
         return result
 
     def _log_unknown(self) -> FloatArray:
-        """(open detections,) log intensity with which sources not yet known explain each."""
-        stored = self.open.values()
+        """(detections that name nobody,) log intensity with which sources not yet known explain each."""
+        stored = [each for number, each in self.open.items() if number not in self.named]
         logs = np.empty(len(stored))
         loops.log_expected(
             self._open_arena.values,
@@ -372,9 +399,9 @@ class Mixture:
 
         All but the last sweep look only at detections still in doubt or new.
         """
-        numbers = list(self.open)
+        numbers = [number for number in self.open if number not in self.named]
         log_unknown = self._log_unknown()
-        log_clutter = np.array([stored.log_clutter for stored in self.open.values()])
+        log_clutter = np.array([self.open[number].log_clutter for number in numbers])
         left = Shares(
             np.array([self.unclaimed[number] for number in numbers]),
             np.array([self.explained[number] for number in numbers]),
@@ -397,8 +424,8 @@ class Mixture:
             left,
             passes=sweeps,
         )
-        self.unclaimed = dict(zip(numbers, left.unclaimed.tolist(), strict=True))
-        self.explained = dict(zip(numbers, left.explained.tolist(), strict=True))
+        self.unclaimed.update(zip(numbers, left.unclaimed.tolist(), strict=True))
+        self.explained.update(zip(numbers, left.explained.tolist(), strict=True))
         for candidate in self.candidates:
             candidate.prune()
             coarse = candidate.spacing_m > 1.01 * self.tuning.fine_cells * self.field.cell_m
@@ -467,7 +494,7 @@ class Mixture:
         )
         rate = self.settings.reference_rate_hz
         for number, stored in self.open.items():
-            if not self.in_reach(candidate, stored):
+            if number in self.named or not self.in_reach(candidate, stored):
                 continue
             # With place noise each is told given those claimed before it: as independent witnesses they would
             # rule out ground that is not to be had back.
@@ -549,7 +576,7 @@ class Mixture:
             done = True
             for first in self.candidates:
                 for second in self.candidates:
-                    if first.ident >= second.ident:
+                    if first.ident >= second.ident or first.name or second.name:
                         continue
                     if not (self._close(first, second) or self._one_in_shadow(first, second)):
                         continue
@@ -624,6 +651,7 @@ class Mixture:
             number = self._to_fold()
             for candidate in self.candidates:
                 candidate.forget(number)
+            self.named.discard(number)
             del self.open[number], self.unclaimed[number], self.explained[number]
 
     def _to_fold(self) -> int:

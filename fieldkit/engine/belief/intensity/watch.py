@@ -25,8 +25,8 @@ LAST = 40
 LEAST = 8
 """Fewer say nothing."""
 LEAST_OFFSET_DB, OFFSET_SIGMAS = 3.0, 3.5
-REFINED_DB = 1.0
-"""What was learnt of a named receiver is mended by no less than this."""
+REFINED_DB, REFINED_SIGMAS = 1.0, 2.0
+"""What was learnt of a receiver once named is mended by no less than this."""
 DEAF_BELOW = 1e-4
 """Probability of hearing so few by chance."""
 SURE = 0.8
@@ -110,7 +110,8 @@ class Watch:
         # Readings of a place hang together: half of them count.
         error_db = sigma_db * np.sqrt(2.0 / count + 2.0 / (count * len(others)))
         named = its.offset_db != 0.0
-        if abs(more_db) < max(REFINED_DB if named else LEAST_OFFSET_DB, OFFSET_SIGMAS * error_db):
+        least_db, sigmas = (REFINED_DB, REFINED_SIGMAS) if named else (LEAST_OFFSET_DB, OFFSET_SIGMAS)
+        if abs(more_db) < max(least_db, sigmas * error_db):
             return []
         its.offset_db += more_db
         its.residual_db.clear()
