@@ -15,7 +15,6 @@ from scipy.optimize import least_squares
 from scipy.special import log_ndtr
 from scipy.stats import norm
 
-from fieldkit.channel.model import MIN_RANGE_M
 from fieldkit.clock import wall_s
 from fieldkit.engine.association.detections import Associator
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
@@ -125,8 +124,7 @@ class LeastSquares:
         radio = self.engine.antenna
 
         def residual(x: FloatArray) -> FloatArray:
-            distance = np.maximum(np.hypot(*(self.robots - x[:2]).T), MIN_RANGE_M)
-            mean = radio.power_at_1m_dbm + x[2] - 10.0 * radio.path_loss_exponent * np.log10(distance)
+            mean = radio.mean_rss_dbm(np.hypot(*(self.robots - x[:2]).T), x[2])
             return np.asarray((self.rss - mean) / radio.sigma_db)
 
         start = np.append(self.robots[np.argmax(self.rss)] + 0.1, np.median(self.engine.power_levels_db))
@@ -168,8 +166,7 @@ class StoneSoup:
         def log_likelihood(x: FloatArray) -> FloatArray:
             radio, log = self.radio, np.zeros(x.shape[1])
             for place, rss in zip(detection.position_m, detection.rss_dbm, strict=True):
-                distance = np.maximum(np.hypot(x[0] - place[0], x[1] - place[1]), MIN_RANGE_M)
-                mean = np.asarray(radio.mean_rss_dbm(distance, x[2]))
+                mean = radio.mean_rss_dbm(np.hypot(x[0] - place[0], x[1] - place[1]), x[2])
                 if np.isnan(rss):
                     log += log_ndtr((radio.threshold_dbm + 0.5 - mean) / radio.sigma_db)
                 else:

@@ -94,7 +94,9 @@ def run(target: str, trials: int, seed: int, progress: Progress) -> dict[str, An
     drawn = random.Random(seed).sample(every, min(trials, len(every)))
     there = [str(root / test) for test in tests if (root / test).exists()]
     if is_killed(root, Mutant(files[0], 0, "", "", (root / files[0]).read_text(encoding="utf-8")), there):
-        raise ConfigError("mutants: the tests fail on the code as it is")
+        raise ConfigError(
+            f"mutants: the tests fail on the code as it is, or take more than {TIMEOUT_S:.0f} s on this machine"
+        )
     alive: list[Mutant] = []
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         for done, (mutant, killed) in enumerate(

@@ -27,6 +27,8 @@ _DELAYS_S = [STARTS_S * k / 5 for k in range(1, 6)]
 LATE_STARTS = (*AT_ONCE, *((late_s, 0.0) for late_s in _DELAYS_S), *((0.0, late_s) for late_s in _DELAYS_S))
 SLACK_M = 1e-6
 """More than rounding: what a quick look finds this much too far apart is so by a closer one too."""
+CLEAR_OF_NEAR = 1.2
+"""A new path keeps so many times the distance that is too near, and two that were too near part as far."""
 SOON_S = 4.0
 """How far ahead robots under way are watched: time to tell one to stop over a poor link."""
 ALOFT_SHARE = 0.7
@@ -63,7 +65,7 @@ def conflict(
     """
     if robot.name in settings.on_foot:
         return ""
-    limit_m = 1.2 * settings.near_m
+    limit_m = CLEAR_OF_NEAR * settings.near_m
     for name, occupancy in occupied.items():
         if name == robot.name or name in undecided or are_layered(robot, occupancy.robot, settings):
             continue
@@ -102,7 +104,7 @@ def mark_too_near(
 
     `homeward` are the segments of robots on their way home.
     """
-    near_m, apart_m = settings.near_m, 1.2 * settings.near_m
+    near_m, apart_m = settings.near_m, CLEAR_OF_NEAR * settings.near_m
     before = {name: robot.too_near for name, robot in robots.items()}
     for robot in robots.values():
         robot.too_near = False
