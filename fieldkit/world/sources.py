@@ -13,6 +13,12 @@ class TransientSource:
     north_m: float
     power_db: float
     rate_hz: float
+    burst_s: tuple[float, float] | None = None
+    """It sends only for the first so many seconds of every so many; None: all the time."""
+
+    def sends_at(self, t_s: float) -> bool:
+        """Whether it is awake."""
+        return self.burst_s is None or t_s % self.burst_s[1] < self.burst_s[0]
 
 
 def random_sources(

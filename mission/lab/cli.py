@@ -125,7 +125,12 @@ def bench(
 
 def study(
     name: Annotated[str, typer.Argument(help="Which study: trust, calibration, ...")],
-    trials: Annotated[int, typer.Option(min=1, help="Trials of each scenario.")] = 100,
+    trials: Annotated[
+        int, typer.Option("--trials", "--missions", min=1, help="Trials (missions) of each scenario.")
+    ] = 100,
+    only: Annotated[
+        str | None, typer.Option(metavar="WORDS", help="Only the scenarios whose name has these words.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of the first trial; the others count up.")] = 0,
     out: Annotated[
         Path | None, typer.Option(help="Folder for results and plot; a killed study goes on where it was.")
@@ -158,6 +163,7 @@ def study(
         workers=workers,
         dask=dask,
         data=data,
+        only=only,
         kept=None if out is None else out / "trials.jsonl",
     )
     columns = (TextColumn("{task.description}"), BarColumn())

@@ -26,8 +26,10 @@ from fieldkit.messages import (
 )
 from fieldkit.world.bodies import Rover
 from fieldkit.world.channel import sample_rss_dbm
+from fieldkit.world.disturbed import NONE, Disturbances, collided, lobe_gain_db, place_at
 from fieldkit.world.shadowing import ShadowField
 from fieldkit.world.sources import TransientSource, Transmissions
+from fieldkit.world.walls import walls_loss_db
 from mission.core.kernel import Kernel, Outcome
 from mission.core.kernel_settings import KernelSettings
 
@@ -59,6 +61,8 @@ class Truth:
     """How high the transmitters are; robots fly as high as the mission says."""
     elevation: float = 0.0
     """kappa of `channel.spread`: 2 for two vertical dipoles."""
+    disturbed: Disturbances = NONE
+    """What else is not as the engine believes."""
 
 
 @dataclass(slots=True)
@@ -88,7 +92,8 @@ def simulate(
     recorder is put in.
     """
     kernel = Kernel(settings)
-    world = _World(settings.engine.robots, truth, seed, step_s, settings.altitude_m)
+    grid = settings.engine.grid
+    world = _World(settings.engine.robots, truth, seed, step_s, settings.altitude_m, grid.size_east_m)
     covered_at: dict[int, float] = {}
     inbox: list[Event] = [VehicleState(0, robot, "guided", True) for robot in settings.engine.robots]
     end_reason = ""
@@ -115,7 +120,13 @@ class _World:
     """What is true: rovers, transmissions, and the errors of clocks and positions."""
 
     def __init__(
-        self, robots: tuple[str, ...], truth: Truth, seed: int, step_s: float, altitude_m: Mapping[str, float]
+        self,
+        robots: tuple[str, ...],
+        truth: Truth,
+        seed: int,
+        step_s: float,
+        altitude_m: Mapping[str, float],
+        size_m: float,
     ) -> None:
         generators = (np.random.default_rng([seed, k]) for k in range(4))
         rng_traffic, self.rng_channel, self.rng_pose, self.rng_wander = generators
@@ -133,13 +144,18 @@ class _World:
         }
         self.traffic = Transmissions(list(truth.sources), rng_traffic)
         self.before = self._places_m()
+        self.seed, self.size_m = seed, size_m
+        self.rng_foreign = np.random.default_rng([seed, 4])
+        self.last_packet: tuple[float, FloatArray] | None = None
         wanders = truth.pose_wander_m > 0.0
         self.wander = self.rng_wander.normal(0.0, truth.pose_wander_m, 2) if wanders else np.zeros(2)
 
     def events(self) -> list[Event]:
         """Where the robots say they are, what they have heard since the last step, and a tick."""
-        events: list[Event] = [*self._poses()]
+        events: list[Event] = [*self._poses(), *self._foreign()]
         for at_s, source in self.traffic.until(self.t_s):
+            if not source.sends_at(at_s):
+                continue
             share = 1.0 - (self.t_s - at_s) / self.step_s
             now = self._places_m()
             place = np.array(
@@ -149,10 +165,7 @@ class _World:
                 ]
             )
             heading = np.array([rover.heading_deg for rover in self.rovers.values()])
-            above_m = self.up_m - self.truth.source_up_m
-            events += _heard(
-                at_s, source, place, above_m, self.clock_s, self.truth, self.rng_channel, heading
-            )
+            events += self._heard(at_s, source, place, heading)
         return [*events, Tick(round(self.t_s * 1e9))]
 
     def _poses(self) -> list[Pose]:
@@ -170,6 +183,58 @@ class _World:
             at = float(east), float(north)
             poses.append(Pose(round(self.t_s * 1e9), robot, *at, up_m, rover.heading_deg, sigma_m))
         return poses
+
+    def _foreign(self) -> list[Event]:
+        """Packets of somebody far away: anybody may hear one, at any strength just above the threshold."""
+        what, robots = self.truth.disturbed, list(self.clock_s)
+        if what.foreign_hz <= 0.0 or self.rng_foreign.random() >= what.foreign_hz * self.step_s:
+            return []
+        threshold = self.truth.antenna.threshold_dbm
+        by = self.rng_foreign.choice(len(robots), size=min(what.foreign_robots, len(robots)), replace=False)
+        level = np.floor(threshold + 1.0 + self.rng_foreign.exponential(6.0, by.size))
+        return [
+            RssReading(round(self.t_s * 1e9), robots[index], float(rss))
+            for index, rss in zip(by.tolist(), level, strict=True)
+        ]
+
+    def _heard(
+        self, at_s: float, source: TransientSource, place: FloatArray, heading_deg: FloatArray
+    ) -> list[Event]:
+        """What the radios at `place` (m, 2), pointing to `heading_deg` (m,), heard of a packet."""
+        truth, what = self.truth, self.truth.disturbed
+        number = truth.sources.index(source)
+        source_m = np.array(
+            place_at((source.east_m, source.north_m), number, at_s, self.size_m, what, self.seed)
+        )
+        way = source_m - place
+        off_front = np.degrees(np.arctan2(way[:, 0], way[:, 1])) - heading_deg
+        more = lobe_gain_db(what, number, -way, self.seed) - walls_loss_db(source_m, place, what.walls)
+        if truth.shadow:
+            more = more + truth.shadow[number].at(place)
+        if truth.offset_db:
+            more = more + np.array(truth.offset_db)
+        flat_m, up_m = np.hypot(*way.T), self.up_m - truth.source_up_m
+        range_m = np.hypot(flat_m, up_m)
+        if truth.elevation:
+            cos = np.where(up_m != 0.0, np.maximum(flat_m / np.maximum(range_m, 1e-9), 0.1), 1.0)
+            more = more + truth.elevation * 20.0 * np.log10(cos)
+        rss = sample_rss_dbm(truth.antenna, range_m, source.power_db + more, self.rng_channel, off_front)
+        if truth.packet_loss > 0.0:
+            rss = np.where(self.rng_channel.random(rss.shape) < truth.packet_loss, np.nan, rss)
+        rss[list(what.deaf)] = np.nan
+        before = self.last_packet
+        self.last_packet = (at_s, rss)
+        rss = collided(rss, before and before[1], at_s - before[0] if before else 0.0, what)
+        return [
+            RssReading(
+                round((at_s + self.clock_s[robot]) * 1e9),
+                robot,
+                float(value),
+                saturated=truth.antenna.saturation_dbm is not None and value >= truth.antenna.saturation_dbm,
+            )
+            for robot, value in zip(self.clock_s, rss, strict=True)
+            if not np.isnan(value)
+        ]
 
     def obey(self, command: Command) -> str:
         """Drive, stop, or end: why, where the mission is over."""
@@ -191,48 +256,6 @@ class _World:
 
     def _places_m(self) -> dict[str, tuple[float, float]]:
         return {robot: (rover.east_m, rover.north_m) for robot, rover in self.rovers.items()}
-
-
-def _heard(
-    at_s: float,
-    source: TransientSource,
-    place: FloatArray,
-    up_m: FloatArray,
-    clock_s: dict[str, float],
-    truth: Truth,
-    rng: np.random.Generator,
-    heading_deg: FloatArray | float = 0.0,
-) -> list[Event]:
-    """What the radios at `place` (m, 2), pointing to `heading_deg` (m,), heard, in the order of `clock_s`.
-
-    They are `up_m` (m,) above the sources.
-    """
-    way = np.array([source.east_m, source.north_m]) - place
-    off_front = np.degrees(np.arctan2(way[:, 0], way[:, 1])) - heading_deg
-    more = np.zeros(place.shape[0])
-    if truth.shadow:
-        more = more + truth.shadow[truth.sources.index(source)].at(place)
-    if truth.offset_db:
-        more = more + np.array(truth.offset_db)
-    flat_m = np.hypot(*way.T)
-    range_m = np.hypot(flat_m, up_m)
-    if truth.elevation:
-        cos = np.where(up_m != 0.0, np.maximum(flat_m / np.maximum(range_m, 1e-9), 0.1), 1.0)
-        more = more + truth.elevation * 20.0 * np.log10(cos)
-    rss = sample_rss_dbm(truth.antenna, range_m, source.power_db + more, rng, off_front)
-    if truth.packet_loss > 0.0:
-        rss = np.where(rng.random(rss.shape) < truth.packet_loss, np.nan, rss)
-    ceiling = truth.antenna.saturation_dbm
-    return [
-        RssReading(
-            round((at_s + clock_s[robot]) * 1e9),
-            robot,
-            float(value),
-            saturated=ceiling is not None and value >= ceiling,
-        )
-        for robot, value in zip(clock_s, rss, strict=True)
-        if not np.isnan(value)
-    ]
 
 
 def _cover(kernel: Kernel, truth: Truth, t_s: float, covered_at: dict[int, float]) -> None:

@@ -116,7 +116,7 @@ def trial(job: Job) -> dict[str, Any]:
             said.append(not whole)
         return outcome.commands
 
-    every = _Sometimes(watch)
+    every = Sometimes(watch)
     kernel = KernelSettings(engine, max_duration_s=CAP_S, sources_expected=10**6)
     result = simulate(kernel, truth, job.seed, on_step=every)
     finds = [source for source in result.kernel.sources() if source.state == "found"]
@@ -135,7 +135,7 @@ def trial(job: Job) -> dict[str, Any]:
     }
 
 
-class _Sometimes:
+class Sometimes:
     """Looks every few simulated seconds; the commands pass through unchanged."""
 
     def __init__(self, watch: Callable[[Kernel, Any, Any], Any]) -> None:
