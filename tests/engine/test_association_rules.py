@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from fieldkit.engine.association.detections import ASTRAY_WINDOWS, NUMBERED_REACH_NS, Associator, PoseTrack
+from fieldkit.engine.association.detections import (
+    ASTRAY_WINDOWS,
+    FLAT_ORIGINS,
+    NUMBERED_REACH_NS,
+    Associator,
+    PoseTrack,
+)
 from fieldkit.messages import Detection, Pose, ReceiverState, RssReading
 
 S = 1_000_000_000
@@ -13,11 +19,11 @@ ROBOTS = ("a", "b", "c")
 
 
 def standing(robots: tuple[str, ...] = ROBOTS, until_s: int = 30, **options: float) -> Associator:
-    """Robots that stand at (1, 10), (2, 20), ... facing 30, 60, ... degrees, with a pose every half second."""
+    """They stand at (1, 10), (2, 20), ... and 5, 10, ... high, facing 30, 60, ... degrees, every half second."""
     associator = Associator(robots, **options)
     for k, robot in enumerate(robots, start=1):
         for half in range(2 * until_s + 1):
-            associator.pose(Pose(half * S // 2, robot, float(k), 10.0 * k, heading_deg=30.0 * k))
+            associator.pose(Pose(half * S // 2, robot, float(k), 10.0 * k, 5.0 * k, 30.0 * k, 0.1 * k))
     return associator
 
 
@@ -37,8 +43,16 @@ def who(detections: list[Detection]) -> list[list[str]]:
 # Poses of one robot
 
 
-def line(*places: tuple[int, float, float, float], gap_ns: int = S) -> PoseTrack:
-    track = PoseTrack(gap_ns)
+class Level(PoseTrack):
+    """A track of which a test asks for place and heading alone."""
+
+    def flat(self, t_ns: int) -> tuple[float, ...] | None:
+        found = self.at(t_ns)
+        return None if found is None else found[:3]
+
+
+def line(*places: tuple[int, float, float, float], gap_ns: int = S) -> Level:
+    track = Level(gap_ns)
     for t_ns, east, north, heading in places:
         track.add(Pose(t_ns, "a", east, north, heading_deg=heading))
     return track
@@ -51,32 +65,46 @@ def test_a_track_without_poses_is_nowhere() -> None:
 def test_a_pose_of_the_same_instant_is_dropped_and_a_nanosecond_later_kept() -> None:
     track = line((5, 1.0, 0.0, 0.0), (5, 2.0, 0.0, 0.0), (6, 3.0, 0.0, 0.0), (4, 9.0, 0.0, 0.0))
     assert track.t_ns == [5, 6]
-    assert [track.at(t) for t in (5, 6)] == [(1.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
+    assert [track.flat(t) for t in (5, 6)] == [(1.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
 
 
 def test_at_a_pose_it_is_that_pose_wherever_in_the_track() -> None:
     track = line((0, 1.0, 4.0, 10.0), (S, 2.0, 5.0, 20.0), (2 * S, 3.0, 6.0, 30.0))
-    assert [track.at(k * S) for k in range(3)] == [(1.0, 4.0, 10.0), (2.0, 5.0, 20.0), (3.0, 6.0, 30.0)]
+    assert [track.flat(k * S) for k in range(3)] == [(1.0, 4.0, 10.0), (2.0, 5.0, 20.0), (3.0, 6.0, 30.0)]
 
 
 @pytest.mark.parametrize("gap_ns", [S, 4 * S])
 def test_before_the_first_and_after_the_last_pose_half_a_gap_is_known(gap_ns: int) -> None:
     half = gap_ns // 2
     track = line((10 * S, 1.0, 4.0, 10.0), (10 * S + 1, 2.0, 5.0, 20.0), gap_ns=gap_ns)
-    assert track.at(10 * S - half) == (1.0, 4.0, 10.0)
-    assert track.at(10 * S - half - 1) is None
-    assert track.at(10 * S + 1 + half) == (2.0, 5.0, 20.0)
-    assert track.at(10 * S + 2 + half) is None
+    assert track.flat(10 * S - half) == (1.0, 4.0, 10.0)
+    assert track.flat(10 * S - half - 1) is None
+    assert track.flat(10 * S + 1 + half) == (2.0, 5.0, 20.0)
+    assert track.flat(10 * S + 2 + half) is None
 
 
 def test_between_poses_as_far_apart_as_the_gap_it_is_known_and_no_further() -> None:
-    assert line((0, 0.0, 8.0, 0.0), (S, 4.0, 0.0, 0.0)).at(S // 4) == (1.0, 6.0, 0.0)
-    assert line((0, 0.0, 8.0, 0.0), (S + 1, 4.0, 0.0, 0.0)).at(S // 4) is None
+    assert line((0, 0.0, 8.0, 0.0), (S, 4.0, 0.0, 0.0)).flat(S // 4) == (1.0, 6.0, 0.0)
+    assert line((0, 0.0, 8.0, 0.0), (S + 1, 4.0, 0.0, 0.0)).flat(S // 4) is None
 
 
 def test_between_poses_the_two_around_count_not_the_ends_of_the_track() -> None:
     track = line((0, 9.0, 9.0, 90.0), (S, 0.0, 8.0, 0.0), (2 * S, 4.0, 0.0, 0.0), (3 * S, 7.0, 7.0, 70.0))
-    assert track.at(S + S // 4) == (1.0, 6.0, 0.0)
+    assert track.flat(S + S // 4) == (1.0, 6.0, 0.0)
+
+
+def test_height_is_interpolated_and_a_place_is_as_unsure_as_the_less_sure_pose_beside_it() -> None:
+    track = PoseTrack(S)
+    for t_ns, up_m, sigma_m in ((0, 8.0, 0.5), (S, 4.0, 0.1), (2 * S, 4.0, 0.2)):
+        track.add(Pose(t_ns, "a", 0.0, 0.0, up_m, 0.0, sigma_m))
+    found = [track.at(t_ns) for t_ns in (0, S // 4, S, S + S // 2, 2 * S + 1)]
+    assert [place[3:] for place in found if place] == [
+        (8.0, 0.5),
+        (7.0, 0.5),
+        (4.0, 0.1),
+        (4.0, 0.2),
+        (4.0, 0.2),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -89,14 +117,14 @@ def test_headings_turn_the_short_way(first: float, then: float, quarter: float) 
 
 
 def test_a_track_forgets_what_is_older_than_half_a_minute_once_it_is_long() -> None:
-    track = PoseTrack(2 * S)
+    track = Level(2 * S)
     for k in range(64):
         track.add(Pose(k * S, "a", float(k), float(-k)))
     assert len(track.t_ns) == 64, "not long enough to be looked at"
     track.add(Pose(64 * S, "a", 64.0, -64.0))
     assert track.t_ns == [k * S for k in range(32, 65)] and len(track.poses) == 33
-    assert track.at(31 * S - 1) is None
-    assert all(track.at(k * S) == (float(k), float(-k), 0.0) for k in range(32, 65))
+    assert track.flat(31 * S - 1) is None
+    assert all(track.flat(k * S) == (float(k), float(-k), 0.0) for k in range(32, 65))
 
 
 def test_a_track_keeps_what_is_half_a_minute_old_to_the_nanosecond() -> None:
@@ -250,6 +278,9 @@ def test_a_detection_says_of_each_robot_where_it_was_and_what_it_heard() -> None
     assert found.position_m.tolist() == [[1.0, 10.0], [2.0, 20.0], [3.0, 30.0]]
     assert found.heading_deg.tolist() == [30.0, 60.0, 90.0]
     assert found.saturated.tolist() == [False, False, True]
+    assert found.up_m.tolist() == [5.0, 10.0, 15.0] and found.sigma_m.tolist() == pytest.approx(
+        [0.1, 0.2, 0.3]
+    )
     assert found.rss_dbm[[0, 2]].tolist() == [-61.0, -40.0] and np.isnan(found.rss_dbm[1])
 
 
@@ -327,6 +358,30 @@ def test_what_is_closed_is_forgotten_after_twice_the_reach() -> None:
     assert closed(associator, 60 * S) and associator._closed == [] and associator._open == []
 
 
+@pytest.mark.parametrize(
+    ("frame_id", "sender"),
+    [("1:2/7f", "1:2"), ("0013a2#89ab", "0013a2"), ("0013a2", "0013a2"), (None, None), ("/7f", None)],
+)
+def test_a_detection_names_the_address_in_its_frame(frame_id: str | None, sender: str | None) -> None:
+    associator = standing()
+    heard(associator, "a", 2 * S, frame_id=frame_id)
+    assert [d.sender for d in closed(associator)] == [sender]
+
+
+@pytest.mark.parametrize("origin", sorted(FLAT_ORIGINS))
+def test_one_that_flies_is_nowhere_while_its_positions_tell_no_height(origin: str) -> None:
+    associator = Associator(("a", "b"), flying=("a",))
+    for half in range(60):
+        for robot in ("a", "b"):
+            associator.pose(Pose(half * S // 2, robot, 1.0, 2.0, 0.0, 0.0, 0.1, origin))
+    heard(associator, "b", 5 * S)
+    assert [d.robots for d in closed(associator)] == [("b",)] and associator.without_height == {"a": origin}
+    for up_m, source in ((3.0, origin), (0.0, "mavlink")):
+        associator = Associator(("a",), flying=("a",))
+        associator.pose(Pose(S, "a", 1.0, 2.0, up_m, 0.0, 0.1, source))
+        assert associator._tracks["a"].t_ns and not associator.without_height
+
+
 # Silence
 
 
@@ -334,7 +389,7 @@ def driving(until_s: int = 30, **options: float) -> Associator:
     """One robot that drives 1 m/s east and 2 m/s north, from time 0."""
     associator = Associator(("a",), **options)
     for half in range(2 * until_s + 1):
-        associator.pose(Pose(half * S // 2, "a", half / 2.0, float(half)))
+        associator.pose(Pose(half * S // 2, "a", half / 2.0, float(half), 3.0, 40.0, 0.2))
     return associator
 
 
@@ -345,6 +400,7 @@ def test_silence_is_told_second_by_second_with_the_place_in_the_middle() -> None
     (one,) = associator.advance(6 * S)[1]
     assert (one.t0_ns, one.t1_ns, one.robots) == (4 * S, 5 * S, ("a",))
     assert one.position_m.tolist() == [[4.5, 9.0]]
+    assert (one.heading_deg.tolist(), one.up_m.tolist(), one.sigma_m.tolist()) == ([40.0], [3.0], [0.2])
     two, three = associator.advance(8 * S)[1]
     assert [(x.t0_ns, x.t1_ns) for x in (two, three)] == [(5 * S, 6 * S), (6 * S, 7 * S)]
     assert three.position_m.tolist() == [[6.5, 13.0]]
