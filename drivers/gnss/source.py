@@ -19,7 +19,7 @@ from drivers.gnss.nmea import NmeaReader
 from drivers.lines.sources import open_source
 from drivers.links import ByteLink, arrival_ns
 from drivers.options import checked
-from drivers.timebase import TimeBase
+from drivers.timebase import CLOCK_JUMP_NS, TimeBase
 from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.messages import Pose
 from fieldkit.ports import DriverContext
@@ -28,9 +28,8 @@ logger = logging.getLogger(__name__)
 
 AGAIN_S = 0.5
 """Wall time between attempts to take a lost receiver back."""
-DEAF_S = 10.0
+NO_SENTENCE_S = 10.0
 """Wall time without one whole sentence after which it is said what comes instead."""
-CLOCK_JUMP_NS = 5_000_000_000
 NO_HEADING_M_S = 0.3
 """Slower than this a course over ground is noise: the last one holds."""
 
@@ -194,9 +193,9 @@ class _Followed:
                 self._take(fix, at_s, arrival_ns(link, self._around.clock))
             if self._reader.sentences != sentences:
                 sentences, heard_s = self._reader.sentences, now_s
-            elif now_s - heard_s > DEAF_S:
+            elif now_s - heard_s > NO_SENTENCE_S:
                 came = f"{self._reader.damaged} damaged sentences" if self._reader.damaged else "nothing"
-                self._source.note(self._robot, f"{came} came for {DEAF_S:g} s; is `baud` right?")
+                self._source.note(self._robot, f"{came} came for {NO_SENTENCE_S:g} s; is `baud` right?")
 
     def _take(self, fix: Fix, now_s: float, t_ns: int) -> None:
         why = self._judge.doubt(fix, now_s)
