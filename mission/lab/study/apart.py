@@ -26,7 +26,7 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import FieldkitError
 from fieldkit.messages import FloatArray, Pose, RssReading
 from fieldkit.world.sources import TransientSource
-from mission.lab.study.packets import Way, cells_near, readings_dbm, transmissions, way_of
+from mission.lab.study.packets import TimedPath, cells_near, readings_dbm, timed_path_of, transmissions
 
 LOOK_S = 5.0
 S = 1_000_000_000
@@ -50,18 +50,18 @@ class Apart:
 class Motion(Protocol):
     """Where pairs go."""
 
-    def ways(self, now_s: float, here_m: list[FloatArray], team: "Team") -> dict[int, Way]:
-        """New ways, by pair, for those that have come to the end of theirs."""
+    def paths(self, now_s: float, here_m: list[FloatArray], team: "Team") -> dict[int, TimedPath]:
+        """New paths, by pair, for those that have come to the end of theirs."""
         ...
 
 
 @dataclass
 class Team:
-    """All pairs, their replicas and ways."""
+    """All pairs, their replicas and paths."""
 
     settings: EngineSettings
     replicas: list[Replica]
-    ways: dict[int, Way] = field(default_factory=dict)
+    paths: dict[int, TimedPath] = field(default_factory=dict)
     meetings_s: list[float] = field(default_factory=list)
     mark_ns: int | None = None
     """The moment whose belief all will plan from; each keeps it when its checkpoint comes past."""
@@ -89,7 +89,7 @@ class Ring:
         self._planners = [DprwaPlanner(settings) for _ in settings.teams]
         self._end_s = 0.0
 
-    def ways(self, now_s: float, here_m: list[FloatArray], team: Team) -> dict[int, Way]:
+    def paths(self, now_s: float, here_m: list[FloatArray], team: Team) -> dict[int, TimedPath]:
         if now_s < self._end_s - 1e-6:
             return {}
         if team.mark_ns is None:
@@ -107,7 +107,8 @@ class Ring:
         team.kept = {}
         team.meetings_s = sorted({now_s + mine.ring_start_s + m.t_s for m in mine.meetings})
         return {
-            pair: Way(now_s + period.t_s[pair], period.place_m[pair]) for pair, period in enumerate(periods)
+            pair: TimedPath(now_s + period.t_s[pair], period.place_m[pair])
+            for pair, period in enumerate(periods)
         }
 
 
@@ -118,17 +119,17 @@ class Walk:
         self.settings = settings
         self._walk = PairRandomWalk(settings)
 
-    def ways(self, now_s: float, here_m: list[FloatArray], team: Team) -> dict[int, Way]:
+    def paths(self, now_s: float, here_m: list[FloatArray], team: Team) -> dict[int, TimedPath]:
         fresh = {}
         for pair, group in enumerate(self.settings.teams):
-            if pair in team.ways and team.ways[pair].t_s[-1] > now_s + 1e-9:
+            if pair in team.paths and team.paths[pair].t_s[-1] > now_s + 1e-9:
                 continue
             place = dict(zip(group, here_m[pair], strict=True))
             position = {r: (float(e), float(n)) for r, (e, n) in place.items()}
             plan = self._walk.plan(
                 Situation(round(now_s * S), position, (group,), {}), team.replicas[pair].belief
             )
-            fresh[pair] = way_of(plan, group, place, now_s, self.settings.max_speed_m_s)
+            fresh[pair] = timed_path_of(plan, group, place, now_s, self.settings.max_speed_m_s)
         return fresh
 
 
@@ -145,8 +146,8 @@ class Train:
         self._speed_m_s = settings.max_speed_m_s
         self._started = False
 
-    def ways(self, now_s: float, here_m: list[FloatArray], team: Team) -> dict[int, Way]:
-        if self._started and min(way.t_s[-1] for way in team.ways.values()) > now_s + 1e-9:
+    def paths(self, now_s: float, here_m: list[FloatArray], team: Team) -> dict[int, TimedPath]:
+        if self._started and min(timed.t_s[-1] for timed in team.paths.values()) > now_s + 1e-9:
             return {}
         last = len(here_m) - 1
         first_s = [(last - pair) * self._apart_s for pair in range(len(here_m))]
@@ -159,20 +160,20 @@ class Train:
                 for a, b in zip(begin, here_m, strict=True)
             )
             return {
-                pair: Way(
+                pair: TimedPath(
                     np.array([now_s, now_s + max(arrive_s, 1e-3)]), np.array([here_m[pair], begin[pair]])
                 )
                 for pair in range(len(here_m))
             }
-        ways = {}
+        paths = {}
         tau = self._circle.tau_s
         for pair, here in enumerate(here_m):
             begin_s = first_s[pair] + self._laps * tau
             moments = [begin_s, *self._circle.corners_s(begin_s, begin_s + tau), begin_s + tau]
             places = np.array([self._circle.at(phi, len(here)) for phi in moments])
-            ways[pair] = Way(now_s + np.array(moments) - begin_s, places)
+            paths[pair] = TimedPath(now_s + np.array(moments) - begin_s, places)
         self._laps += 1
-        return ways
+        return paths
 
 
 def snapshot(replica: Replica) -> Snapshot:
@@ -211,15 +212,15 @@ def search_apart(
     for pair, group in enumerate(settings.teams):
         _log(team.replicas[pair], group, here[pair], 0.0)
     while now_s < cap_s:
-        team.ways |= motion.ways(now_s, here, team)
-        until_s = min(cap_s, *(float(way.t_s[-1]) for way in team.ways.values()))
+        team.paths |= motion.paths(now_s, here, team)
+        until_s = min(cap_s, *(float(timed.t_s[-1]) for timed in team.paths.values()))
         moments = _moments(team, now_s, until_s, next_look_s)
         last = int(np.searchsorted(sent.t_s, until_s, side="right"))
         moments += [(float(t), 1, k) for k, t in enumerate(sent.t_s[packet:last], start=packet)]
         for t_s, kind, index in sorted(moments):
             if kind == 0:
                 group = settings.teams[index]
-                _log(team.replicas[index], group, _at(team.ways[index], t_s), t_s)
+                _log(team.replicas[index], group, _at(team.paths[index], t_s), t_s)
             elif kind == 1:
                 heard = _hear(team, hidden, sent.source[index], noise[index], t_s, column)
                 result.detections += heard
@@ -230,7 +231,7 @@ def search_apart(
                 if any(_found_all(replica, near, log_found) for replica in team.replicas):
                     result.time_s = result.elapsed_s = t_s
                     return result
-        here = [_at(team.ways[pair], until_s) for pair in range(len(names))]
+        here = [_at(team.paths[pair], until_s) for pair in range(len(names))]
         packet, now_s = last, until_s
     return result
 
@@ -239,16 +240,16 @@ def _moments(team: Team, now_s: float, until_s: float, next_look_s: float) -> li
     """(time, kind, which) of turns (0), and of looks for others: the regular ones (2, 1) and meetings (2, 0)."""
     moments = [
         (float(t), 0, pair)
-        for pair, way in team.ways.items()
-        for t in way.t_s
+        for pair, timed in team.paths.items()
+        for t in timed.t_s
         if now_s - 1e-9 < t <= until_s + 1e-9
     ]
     moments += [(float(t), 2, 1) for t in np.arange(next_look_s, until_s, LOOK_S)]
     return moments + [(t, 2, 0) for t in team.meetings_s if now_s < t <= until_s + 1e-6]
 
 
-def _at(way: Way, t_s: float) -> FloatArray:
-    return np.asarray(way.at(np.array([t_s]))[0])
+def _at(timed: TimedPath, t_s: float) -> FloatArray:
+    return np.asarray(timed.at(np.array([t_s]))[0])
 
 
 def _log(replica: Replica, group: tuple[str, ...], place_m: FloatArray, t_s: float) -> None:
@@ -270,7 +271,7 @@ def _hear(
     """Whoever hears a transmission logs it; whether anybody did."""
     heard = False
     for pair, group in enumerate(team.settings.teams):
-        place = _at(team.ways[pair], t_s)
+        place = _at(team.paths[pair], t_s)
         rss = readings_dbm(team.settings.antenna, hidden[source], place, noise[[column[r] for r in group]])
         for robot, z in zip(group, rss, strict=True):
             if not np.isnan(z):
@@ -281,7 +282,7 @@ def _hear(
 
 def _look(team: Team, t_s: float, range_m: float, result: Apart) -> None:
     """Pairs in range exchange, there and back so that news pass along a chain; then all look for a checkpoint."""
-    place = [_at(way, t_s) for _, way in sorted(team.ways.items())]
+    place = [_at(timed, t_s) for _, timed in sorted(team.paths.items())]
     for replica in team.replicas:
         result.most_held = max(result.most_held, replica.held().readings)
     in_range = [

@@ -21,11 +21,11 @@ from fieldkit.messages import Detection, FloatArray, Plan
 from fieldkit.world.sources import TransientSource
 
 PERIODIC = ("prwa", "rwa")
-"""Planners that plan anew every period; the others when a team has come to the end of its way."""
+"""Planners that plan anew every period; the others when a team has come to the end of its path."""
 
 
 @dataclass(slots=True)
-class Way:
+class TimedPath:
     """Where the robots of one group are from now on: corners in time, and which planner's group it is."""
 
     t_s: FloatArray
@@ -110,7 +110,7 @@ class _Search:
     place: dict[str, FloatArray]
     watch: bool
     on_detection: Callable[[float, Detection], None] | None
-    ways: dict[tuple[str, ...], Way] = field(default_factory=dict)
+    paths: dict[tuple[str, ...], TimedPath] = field(default_factory=dict)
     packet: int = 0
     """How many packets have been sent."""
     next_plan_s: float = 0.0
@@ -126,7 +126,7 @@ class _Search:
         now_s = 0.0
         while now_s < cap_s and self.outcome.time_s is None:
             self._plan(now_s)
-            until_s = min([cap_s, *(way.t_s[-1] for way in self.ways.values())])
+            until_s = min([cap_s, *(timed.t_s[-1] for timed in self.paths.values())])
             if self.is_periodic:
                 until_s = min(until_s, self.next_plan_s)
             until_s = max(until_s, now_s + 0.5)
@@ -140,14 +140,14 @@ class _Search:
         """New paths for the groups that are due for one."""
         periodic = self.is_periodic and now_s >= self.next_plan_s - 1e-9
         due = [
-            g for g in self.groups if g not in self.ways or periodic or self.ways[g].t_s[-1] <= now_s + 1e-9
+            g for g in self.groups if g not in self.paths or periodic or self.paths[g].t_s[-1] <= now_s + 1e-9
         ]
         if due:
             position = {r: (float(p[0]), float(p[1])) for r, p in self.place.items()}
             plan = self.walk.plan(Situation(round(now_s * 1e9), position, tuple(due), {}), self.belief)
             self.outcome.plans += 1
             for group in due:
-                self.ways[group] = way_of(plan, group, self.place, now_s, self.engine.max_speed_m_s)
+                self.paths[group] = timed_path_of(plan, group, self.place, now_s, self.engine.max_speed_m_s)
         if periodic:
             self.next_plan_s = now_s + self.engine.planning_period_s
 
@@ -157,10 +157,10 @@ class _Search:
         times = self.sent.t_s[self.packet : last]
         at = np.empty((len(times) + 1, len(self.column), 2))
         when = np.append(times, until_s)
-        for group, way in self.ways.items():
-            at[:, [self.column[r] for r in group]] = way.at(when)
+        for group, timed in self.paths.items():
+            at[:, [self.column[r] for r in group]] = timed.at(when)
         sources, noise = self.sent.source[self.packet : last], self.noise[self.packet : last]
-        rss = _heard(self.radio, self.hidden, sources, at[:-1], noise, self.ways, self.column, times)
+        rss = _heard(self.radio, self.hidden, sources, at[:-1], noise, self.paths, self.column, times)
         for k in np.flatnonzero(~np.isnan(rss).all(axis=1)):
             self._take_in(float(times[k]), at[k], rss[k])
             if all(float(self.belief.log_absent[cells].min()) < self.log_found for cells in self.near):
@@ -172,7 +172,7 @@ class _Search:
     def _take_in(self, t_s: float, at_m: FloatArray, rss_dbm: FloatArray) -> None:
         robots = self.engine.robots
         directed = bool(self.radio.pattern_db)
-        heading = _headings(at_m, self.ways, self.column, t_s) if directed else np.zeros(len(robots))
+        heading = _headings(at_m, self.paths, self.column, t_s) if directed else np.zeros(len(robots))
         saturated = np.zeros(len(robots), dtype=bool)
         detection = Detection(round(t_s * 1e9), robots, at_m, heading, rss_dbm, saturated)
         self.belief.detect(detection)
@@ -207,7 +207,9 @@ def transmissions(hidden: tuple[TransientSource, ...], seed: int, cap_s: float) 
     return Sent(t[order], s[order])
 
 
-def way_of(plan: Plan, group: tuple[str, ...], place: dict[str, Any], now_s: float, top_m_s: float) -> Way:
+def timed_path_of(
+    plan: Plan, group: tuple[str, ...], place: dict[str, Any], now_s: float, top_m_s: float
+) -> TimedPath:
     """Corners in time: a leg lasts until its slowest robot has arrived."""
     legs = max((len(plan.paths.get(r, ())) for r in group), default=0)
     t, corners = [now_s], [np.array([place[r] for r in group])]
@@ -227,7 +229,7 @@ def way_of(plan: Plan, group: tuple[str, ...], place: dict[str, Any], now_s: flo
     if legs == 0 or t[-1] - now_s < 0.5:  # nowhere to go: look again in a while
         t.append(max(t[-1], now_s + 5.0))
         corners.append(corners[-1])
-    return Way(np.array(t), np.array(corners))
+    return TimedPath(np.array(t), np.array(corners))
 
 
 def _heard(
@@ -236,19 +238,21 @@ def _heard(
     source: np.ndarray,
     at_m: FloatArray,
     noise: FloatArray,
-    ways: dict[tuple[str, ...], Way],
+    paths: dict[tuple[str, ...], TimedPath],
     column: dict[str, int],
     times: FloatArray,
 ) -> FloatArray:
     """(n, m) integer readings of n packets, nan where a robot does not hear one."""
     where = np.array([(s.east_m, s.north_m) for s in hidden])[source]
     power = np.array([s.power_db for s in hidden])[source]
-    way = where[:, None, :] - at_m
-    distance = np.hypot(way[..., 0], way[..., 1])
+    offset = where[:, None, :] - at_m
+    distance = np.hypot(offset[..., 0], offset[..., 1])
     mean = radio.mean_rss_dbm(distance, power[:, None])
     if radio.pattern_db and len(times):
-        heading = np.array([_headings(at_m[k], ways, column, float(t)) for k, t in enumerate(times)])
-        mean = mean + radio.gain_db(np.degrees(np.arctan2(way[..., 0], way[..., 1])) - heading, distance)
+        heading = np.array([_headings(at_m[k], paths, column, float(t)) for k, t in enumerate(times)])
+        mean = mean + radio.gain_db(
+            np.degrees(np.arctan2(offset[..., 0], offset[..., 1])) - heading, distance
+        )
     reading = np.floor(mean + radio.sigma_db * noise + 0.5)
     heard = reading > radio.threshold_dbm
     if radio.saturation_dbm is not None:
@@ -264,13 +268,13 @@ def readings_dbm(radio: Antenna, source: TransientSource, at_m: FloatArray, nois
 
 
 def _headings(
-    at_m: FloatArray, ways: dict[tuple[str, ...], Way], column: dict[str, int], t_s: float
+    at_m: FloatArray, paths: dict[tuple[str, ...], TimedPath], column: dict[str, int], t_s: float
 ) -> FloatArray:
     """(m,) degrees clockwise from north: along the leg each robot is on."""
     heading = np.zeros(len(column))
-    for group, way in ways.items():
-        leg = int(np.clip(np.searchsorted(way.t_s, t_s, side="right") - 1, 0, len(way.t_s) - 2))
-        along = way.place_m[leg + 1] - way.place_m[leg]
+    for group, timed in paths.items():
+        leg = int(np.clip(np.searchsorted(timed.t_s, t_s, side="right") - 1, 0, len(timed.t_s) - 2))
+        along = timed.place_m[leg + 1] - timed.place_m[leg]
         for index, robot in enumerate(group):
             heading[column[robot]] = np.degrees(np.arctan2(along[index, 0], along[index, 1])) % 360.0
     return heading
