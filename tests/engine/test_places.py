@@ -14,7 +14,9 @@ from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.levels import LevelsModel
 from fieldkit.engine.likelihood.places import (
     DEEPEST,
+    NEIGHBOURS,
     NOTHING_EARLIER,
+    REACH,
     Earlier,
     PlaceNoise,
     levels_of,
@@ -123,6 +125,30 @@ def test_the_compiled_loop_agrees_with_a_plain_twin():
     log = places.log_likelihood(d, points, earlier)
     for h, level in enumerate(model.level_dbm):
         assert log[h] == pytest.approx([twin(model, d, p, level, earlier) for p in points], abs=2e-4)
+
+
+def test_the_choice_of_neighbours_agrees_with_a_plain_twin():
+    rng = np.random.default_rng(5)
+    model, places = noise()
+    d = detection([-70.0, np.nan, -66.0, -60.0], rng.uniform(0.0, 8.0, (4, 2)))
+    earlier = earlier_at(model, rng.uniform(0.0, 8.0, (40, 2)), rng.uniform(-80.0, -50.0, 40))
+    ears = model.ears.of_detection(d)
+    near, near_rss, weights, explained = places._neighbours(d, ears, earlier)
+    before, rss = earlier.ears, earlier.rss_dbm
+    for q in (0, 2, 3, 1):
+        away = np.sqrt(((before[:, :3] - ears[q, :3]) ** 2).sum(axis=1))
+        order = np.argsort(away, kind="stable")[:NEIGHBOURS]
+        order = order[away[order] < REACH * SPREAD.correlation_m]
+        apart = np.sqrt(((before[order, None, :3] - before[None, order, :3]) ** 2).sum(axis=-1))
+        cov = 16.0 * np.exp(-apart / 3.0) + np.eye(order.size) * (4.0 + 1.0 / 12.0)
+        cross = 16.0 * np.exp(-away[order] / 3.0)
+        solved = np.linalg.solve(cov, cross)
+        assert near[q, : order.size] == pytest.approx(before[order]) and not weights[q, order.size :].any()
+        assert near_rss[q, : order.size] == pytest.approx(rss[order])
+        assert weights[q, : order.size] == pytest.approx(solved, abs=1e-12)
+        assert explained[q, : order.size] == pytest.approx(np.maximum(solved * cross, 0.0), abs=1e-12)
+        if d.heard[q]:
+            before, rss = np.concatenate([before, ears[q : q + 1]]), np.append(rss, d.rss_dbm[q])
 
 
 def test_the_next_reading_of_a_place_tells_little_of_the_distance():

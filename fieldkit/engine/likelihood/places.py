@@ -16,6 +16,7 @@ from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears_loops import COLUMNS, NORTH, SIGMA, UP
 from fieldkit.engine.likelihood.levels import PER_SIGMA, SILENT_FROM, LevelsModel, tables
+from fieldkit.engine.likelihood.places_loops import condition_on_neighbours
 from fieldkit.messages import Detection, FloatArray
 
 NEIGHBOURS = 6
@@ -184,43 +185,23 @@ class PlaceNoise:
         m = ears.shape[0]
         near, near_rss = np.zeros((m, NEIGHBOURS, COLUMNS)), np.zeros((m, NEIGHBOURS))
         weights, explained = np.zeros((m, NEIGHBOURS)), np.zeros((m, NEIGHBOURS))
-        use = detection.heard & ~detection.saturated
-        # Who heard goes first: silence is conditioned on it.
-        order = np.argsort(~detection.heard, kind="stable")
-        before, rss = earlier.ears, earlier.rss_dbm
-        for q in order.tolist():
-            if rss.size:
-                self._fill(q, ears[q], before, rss, near, near_rss, weights, explained)
-            if use[q]:
-                before = np.concatenate([before, ears[q : q + 1]])
-                rss = np.append(rss, detection.rss_dbm[q])
+        condition_on_neighbours(
+            np.argsort(~detection.heard, kind="stable"),  # who heard goes first: silence is conditioned on it
+            ears,
+            detection.rss_dbm,
+            (detection.heard & ~detection.saturated).astype(float),
+            np.ascontiguousarray(earlier.ears),
+            np.ascontiguousarray(earlier.rss_dbm),
+            self.place_var,
+            self.time_var + 1.0 / 12.0,
+            self.length_m,
+            REACH * self.length_m,
+            near,
+            near_rss,
+            weights,
+            explained,
+        )
         return near, near_rss, weights, explained
-
-    def _fill(
-        self,
-        q: int,
-        ear: FloatArray,
-        before: FloatArray,
-        rss_dbm: FloatArray,
-        near: FloatArray,
-        near_rss: FloatArray,
-        weights: FloatArray,
-        explained: FloatArray,
-    ) -> None:
-        away = np.sqrt(((before[:, : UP + 1] - ear[: UP + 1]) ** 2).sum(axis=1))
-        order = np.argsort(away, kind="stable")[:NEIGHBOURS]
-        order = order[away[order] < REACH * self.length_m]
-        if order.size == 0:
-            return
-        place = before[order, : UP + 1]
-        apart = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=-1))
-        cov = self.place_var * np.exp(-apart / self.length_m)
-        cov[np.diag_indices_from(cov)] += self.time_var + 1.0 / 12.0
-        cross = self.place_var * np.exp(-away[order] / self.length_m)
-        solved = np.linalg.solve(cov, cross)
-        count = order.size
-        near[q, :count], near_rss[q, :count] = before[order], rss_dbm[order]
-        weights[q, :count], explained[q, :count] = solved, np.maximum(solved * cross, 0.0)
 
 
 def redundancy(place_m: Sequence[FloatArray], spread: ChannelSpread) -> FloatArray:
