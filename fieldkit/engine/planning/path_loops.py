@@ -44,6 +44,9 @@ def path_ground_gain(
     rows, columns = value.shape
     m = track.shape[1]
     last = hear.shape[0] - 1
+    alike = True  # on the ground, with calibrated radios: no reason to ask at every cell
+    for q in range(m):
+        alike = alike and ears[q, 0] == 0.0 and ears[q, 1] == 1.0
     # Far from the path nothing is heard: on a large field that is nearly all of it.
     low = max(0, int(math.floor((track[:, :, 1].min() - reach) / cell)))
     high = min(rows, int(math.floor((track[:, :, 1].max() + reach) / cell)) + 1)
@@ -63,7 +66,10 @@ def path_ground_gain(
                 for q in range(m):
                     de = east - track[t, q, 0]
                     dn = north - track[t, q, 1]
-                    k = int(as_far2(de * de + dn * dn, ears, q) / step2)
+                    d2 = de * de + dn * dn
+                    if not alike:
+                        d2 = as_far2(d2, ears, q)
+                    k = int(d2 / step2)
                     if k < last:
                         silent *= 1.0 - hear[k]
                 scratch[r, c] += dt * (1.0 - silent)
