@@ -144,7 +144,7 @@ def test_poses_out_of_order_or_repeated_change_nothing() -> None:
     track = PoseTrack(S)
     for t, east in ((0, 0.0), (S, 1.0), (S // 2, 99.0), (S, 99.0)):
         track.add(Pose(t, "a", east, 0.0))
-    assert track.at(S // 2) == (0.5, 0.0, 0.0, 0.0, 0.0)
+    assert track.at(S // 2) == (0.5, 0.0, 0.0)
 
 
 def test_listening_covers_time_once_without_gaps() -> None:

@@ -5,6 +5,7 @@ import pytest
 
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.belief.intensity.candidate import merged_gain
+from fieldkit.engine.belief.intensity.merging import merge
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, Listening
@@ -81,6 +82,6 @@ def test_two_equal_candidates_are_one_even_after_their_detections_were_folded() 
     assert twin.absorbed > 1.0
     together = first.receptions + twin.receptions
     assert merged_gain(first, twin) > 0.0
-    assert mixture._merge()
+    assert merge(mixture)
     (left,) = [each for each in mixture.candidates if each.receptions > 3.0]
     assert left.receptions == pytest.approx(together, rel=1e-6)

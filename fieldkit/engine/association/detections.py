@@ -59,7 +59,12 @@ class PoseTrack:
         if len(self.t_ns) > 64 and self.t_ns[32] < pose.t_ns - _KEEP_NS:
             del self.t_ns[:32], self.poses[:32]
 
-    def at(self, t_ns: int) -> Place | None:
+    def at(self, t_ns: int) -> tuple[float, float, float] | None:
+        """East, north, heading at `t_ns`; None as of `place_at`."""
+        place = self.place_at(t_ns)
+        return None if place is None else place[:3]
+
+    def place_at(self, t_ns: int) -> Place | None:
         """East, north, heading, height and deviation at `t_ns`; None where no pose is near enough to say.
 
         Between poses further apart than the gap, or further than half of it beyond the last one, nothing is known.
@@ -212,7 +217,7 @@ class Associator:
     def _where(self, t_ns: int) -> tuple[tuple[str, ...], list[Place]]:
         names, places = [], []
         for robot in self.robots:
-            if self._is_up(robot, t_ns) and (place := self._tracks[robot].at(t_ns)) is not None:
+            if self._is_up(robot, t_ns) and (place := self._tracks[robot].place_at(t_ns)) is not None:
                 names.append(robot)
                 places.append(place)
         return tuple(names), places

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldkit.engine.belief.intensity import loops
+from fieldkit.engine.belief.intensity.births import new_candidate
 from fieldkit.engine.belief.intensity.candidate import Candidate, TwoSource
 from fieldkit.engine.belief.intensity.responsibilities import (
     acquire_control,
@@ -143,7 +144,7 @@ def _fresh(mixture: "Mixture", candidate: Candidate, share: dict[int, float], *,
     half = min(0.75 * mixture.model.reach_m, mixture.tuning.re_estimated_cells * mixture.field.cell_m)
     whole = np.vstack([centre - half, centre + half, candidate.points_m])
     row0, row1, column0, column1 = mixture.grid.box_around(whole, 0.0)
-    fresh = mixture.new_candidate((column0, column1), (row0, row1), spacing=1.0, most=most)
+    fresh = new_candidate(mixture, (column0, column1), (row0, row1), spacing=1.0, most=most)
     for number in share:
         fresh.know(number, mixture.model.log_likelihood(mixture.open[number].detection, fresh.points_m))
     return fresh

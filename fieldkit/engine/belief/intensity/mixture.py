@@ -16,8 +16,10 @@ from fieldkit.channel.antenna_file import Receiver
 from fieldkit.engine.belief.intensity import hypotheses as hypotheses
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
-from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, merged_gain, summarise
+from fieldkit.engine.belief.intensity.births import birth, new_candidate, refine, remember_births
+from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, summarise
 from fieldkit.engine.belief.intensity.ground import ground_of
+from fieldkit.engine.belief.intensity.merging import merge
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
 from fieldkit.engine.belief.intensity.silence import note_heard
 from fieldkit.engine.belief.intensity.watch import Watch
@@ -29,7 +31,6 @@ from fieldkit.engine.likelihood.places import NOTHING_EARLIER, Earlier, PlaceNoi
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening, part_of
 
-MOST_STILLBORN = 20
 WATCHED_FROM = 5.0
 """Receptions from which on a candidate is known well enough to measure receivers by."""
 
@@ -99,11 +100,11 @@ class Mixture:
         """Detection to the log of the intensity with which clutter and the candidates explain it."""
         self.revise_at: dict[int, float] = {}
         """Candidate to the receptions at which its hypothesis is next told afresh."""
-        self._born: dict[int, tuple[tuple[float, float], float]] = {}
+        self.born: dict[int, tuple[tuple[float, float], float]] = {}
         """Candidates born at this detection, where, and at what odds."""
-        self._stillborn: list[tuple[tuple[float, float], float]] = []
+        self.stillborn: list[tuple[tuple[float, float], float]] = []
         """The same of those that did not last."""
-        self._merge_at: dict[tuple[int, int], float] = {}
+        self.merge_at: dict[tuple[int, int], float] = {}
         """Neighbours to the receptions of both at which it is next asked whether they are one."""
         self.arena = Arena()
         """What candidates know of detections."""
@@ -118,6 +119,8 @@ class Mixture:
         """What there is to say of them, until somebody has read it."""
         self.now_ns = 0
         """Up to when something was heard, or listened to."""
+        self._since_ns: int | None = None
+        self._clutter_folded = 0.0
         self._next_detection = 0
         self._next_ident = 1
         self._summaries: dict[int, Summary] = {}
@@ -125,6 +128,7 @@ class Mixture:
     def listen(self, listening: Listening) -> None:
         """Add to the exposure of the ground where robots listened."""
         self.now_ns = max(self.now_ns, listening.t1_ns)
+        self._since_ns = listening.t0_ns if self._since_ns is None else min(self._since_ns, listening.t0_ns)
         hearing = [not self._is_deaf(robot) for robot in listening.robots]
         if not any(hearing):
             return
@@ -170,11 +174,11 @@ class Mixture:
             candidate.expose(self.exposure_at(candidate.points_m))
         self.sweep(self.tuning.sweeps)
         for _ in range(1 + len(detections)):
-            if not self._birth():
+            if not birth(self):
                 break
             self.sweep(self.tuning.sweeps)
         self._settle()
-        self._remember_births()
+        remember_births(self)
         self._watch(detections)
         for candidate in self.candidates:
             note_heard(self, candidate)
@@ -211,14 +215,6 @@ class Mixture:
         self._cell_ears = replace(self._cell_ears, receivers=receivers)
         self.model.ears = self.ears
 
-    def _remember_births(self) -> None:
-        """Where a candidate was tried that did not last, under place noise: there every detection would try again."""
-        lived = {candidate.ident for candidate in self.candidates}
-        if self.places is not None:
-            gone = [each for ident, each in self._born.items() if ident not in lived]
-            self._stillborn = [*self._stillborn, *gone][-MOST_STILLBORN:]
-        self._born.clear()
-
     def reflect(self) -> bool | None:
         """Tell the hypothesis of one candidate afresh; whether another was better, None where none was due."""
         better = hypotheses.revise(self)
@@ -251,7 +247,7 @@ class Mixture:
         sender = next((each for each in self.candidates if each.name == name), None)
         if sender is None:
             row0, row1, column0, column1 = stored.box
-            sender = self.new_candidate((column0, column1), (row0, row1), spacing=1.0)
+            sender = new_candidate(self, (column0, column1), (row0, row1), spacing=1.0)
             sender.name = name
             self.candidates.append(sender)
         sender.know(number, self.log_likelihood(sender, number))
@@ -301,10 +297,10 @@ class Mixture:
     def _condition(self) -> None:
         """Tell anew what rests on detections that a candidate no longer claims, or lacks one that it does now."""
         for candidate in self.candidates:
-            if self._tell_given_each_other(candidate):
+            if self.tell_given_each_other(candidate):
                 self._summaries.pop(candidate.ident, None)
 
-    def _tell_given_each_other(self, candidate: Candidate) -> bool:
+    def tell_given_each_other(self, candidate: Candidate) -> bool:
         """Each detection of a candidate given those it claims before it; whether any had to be told anew."""
         told = False
         for number, share in candidate.share.items():
@@ -326,7 +322,7 @@ class Mixture:
     def _settle(self) -> None:
         if self.places is not None:
             self._condition()
-        if self._merge():
+        if merge(self):
             self.sweep(1)
         self._bury()
 
@@ -394,6 +390,24 @@ class Mixture:
         result: FloatArray = logs + np.array([s.log_scale for s in stored])
         return result
 
+    def _learnt_clutter(self) -> float:
+        """log of how much more clutter there is than was expected, by what neither a candidate nor the unknown claims.
+
+        Gamma with the expected rate as its mean and one detection's weight; never less than was expected.
+        """
+        claimed = dict.fromkeys(self.open, 0.0)
+        for candidate in self.candidates:
+            for number, share in candidate.share.items():
+                if number in claimed:
+                    claimed[number] += share
+        count = self._clutter_folded + math.fsum(
+            max(0.0, 1.0 - self.unclaimed[number] - share) for number, share in claimed.items()
+        )
+        prior_s = 1.0 / self.tuning.clutter_hz
+        listened_s = max(0.0, (self.now_ns - self._since_ns) * 1e-9) if self._since_ns is not None else 0.0
+        learnt_hz = (1.0 + count) / (prior_s + listened_s)
+        return max(0.0, math.log(learnt_hz / self.tuning.clutter_hz))
+
     def sweep(self, sweeps: int) -> None:
         """Shares of all open detections, from the predictions of the candidates and of the unknown.
 
@@ -401,7 +415,8 @@ class Mixture:
         """
         numbers = [number for number in self.open if number not in self.named]
         log_unknown = self._log_unknown()
-        log_clutter = np.array([self.open[number].log_clutter for number in numbers])
+        more = self._learnt_clutter()
+        log_clutter = np.array([self.open[number].log_clutter + more for number in numbers])
         left = Shares(
             np.array([self.unclaimed[number] for number in numbers]),
             np.array([self.explained[number] for number in numbers]),
@@ -430,7 +445,7 @@ class Mixture:
             candidate.prune()
             coarse = candidate.spacing_m > 1.01 * self.tuning.fine_cells * self.field.cell_m
             if coarse and candidate.points_m.shape[0] <= self.tuning.refine_points:
-                self._refine(candidate)
+                refine(self, candidate)
                 self._summaries.pop(candidate.ident, None)
 
     def summary(self, candidate: Candidate) -> Summary:
@@ -469,169 +484,13 @@ class Mixture:
         prior = self.settings.expected_sources * self.ground.sources_a_cell / self.model.n_known
         return np.asarray(prior * np.exp(np.minimum(ratio, 50.0)))
 
-    def _birth(self) -> bool:
-        """A candidate where one more source explains what was heard better than none; whether there was one."""
-        expected = self.another_source()
-        prior = self.settings.expected_sources * self.ground.sources_a_cell / self.model.n_known
-        place = np.where(expected > prior, expected, 0.0).sum(axis=0)
-        for (east, north), odds in self._stillborn:
-            # What did not last is tried again when there is much more to be said for it.
-            far2 = (self.grid.east_m[None, :] - east) ** 2 + (self.grid.north_m[:, None] - north) ** 2
-            near_it = far2 <= (self.model.reach_m / 2.0) ** 2
-            if place[near_it].sum() < self.tuning.again_odds * odds:
-                place[near_it] = 0.0
-        if place.sum() < self.tuning.birth_odds:
-            return False
-        row, column = np.unravel_index(int(np.argmax(place)), place.shape)
-        level = int(np.argmax(expected[:, row, column]))
-        near = place > 1e-4 * place.max()
-        reach = int(np.ceil(self.model.reach_m / self.grid.cell_m))
-        south, west = max(0, int(row) - reach), max(0, int(column) - reach)
-        rows = np.nonzero(near[south : int(row) + reach + 1].any(axis=1))[0] + south
-        columns = np.nonzero(near[:, west : int(column) + reach + 1].any(axis=0))[0] + west
-        candidate = self.new_candidate(
-            (int(columns.min()), int(columns.max()) + 1), (int(rows.min()), int(rows.max()) + 1), spacing=1.0
-        )
-        rate = self.settings.reference_rate_hz
-        for number, stored in self.open.items():
-            if number in self.named or not self.in_reach(candidate, stored):
-                continue
-            # With place noise each is told given those claimed before it: as independent witnesses they would
-            # rule out ground that is not to be had back.
-            candidate.know(number, self.log_likelihood(candidate, number))
-            row0, row1, column0, column1 = stored.box
-            if row0 <= row < row1 and column0 <= column < column1:
-                like = stored.like.array[level, (row - row0) * (column1 - column0) + column - column0]
-                ratio = rate * like * np.exp(stored.log_scale - self.explained[number])
-                candidate.set_share(number, float(ratio / (1.0 + ratio)))
-        if candidate.receptions < self.tuning.death_receptions:
-            return False
-        for number, share in candidate.share.items():
-            for other in self.candidates:
-                if share > 0.0 and number in other.share:
-                    other.set_share(number, other.share[number] * (1.0 - share))
+    def forget_summary(self, candidate: Candidate) -> None:
+        """It has changed: what it comes to is to be looked at anew."""
+        self._summaries.pop(candidate.ident, None)
+
+    def forget_summaries(self) -> None:
+        """All have changed."""
         self._summaries.clear()
-        self.candidates.append(candidate)
-        at = float(self.grid.east_m[column]), float(self.grid.north_m[row])
-        self._born[candidate.ident] = (at, float(place.sum()))
-        return True
-
-    def new_candidate(
-        self,
-        columns: tuple[int, int],
-        rows: tuple[int, int],
-        *,
-        spacing: float | None = None,
-        most: int | None = None,
-    ) -> Candidate:
-        """An empty candidate whose cloud covers these cells (half open) and one more all round.
-
-        `spacing` of its points, in cells: whole, or one over a whole number. Where that makes more than `most`
-        (the tuning's `most_points`) of them they stand further apart, until the candidate is refined.
-        """
-        spacing, most = spacing or self.tuning.fine_cells, most or self.tuning.most_points
-        columns = (max(0, columns[0] - 1), min(self.grid.n_east, columns[1] + 1))
-        rows = (max(0, rows[0] - 1), min(self.grid.n_north, rows[1] + 1))
-        while (columns[1] - columns[0]) * (rows[1] - rows[0]) > most * spacing**2:
-            spacing *= 2.0
-        fine = self.grid.cell_m * spacing
-        east = (np.arange(math.floor(columns[0] / spacing), math.ceil(columns[1] / spacing)) + 0.5) * fine
-        north = (np.arange(math.floor(rows[0] / spacing), math.ceil(rows[1] / spacing)) + 0.5) * fine
-        east = east[east < self.grid.n_east * self.grid.cell_m]
-        north = north[north < self.grid.n_north * self.grid.cell_m]
-        east, north = east + self.grid.west_m, north + self.grid.south_m
-        points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
-        density = self.settings.expected_sources * self.ground.sources_a_cell * spacing**2
-        prior = np.repeat(self.model.log_prior[:, None] + np.log(density), points.shape[0], axis=1)
-        return Candidate(
-            self.next_ident(),
-            points,
-            prior,
-            self.rate_prior_s,
-            self.exposure_at(points),
-            fine,
-            self.arena,
-            self.tuning,
-        )
-
-    def _refine(self, candidate: Candidate) -> None:
-        """Tell a candidate that has become small on four points for each of its own; its shares stay."""
-        half = candidate.spacing_m / 2
-        corners = np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]]) * half
-        candidate.points_m = np.ascontiguousarray((candidate.points_m[:, None, :] + corners).reshape(-1, 2))
-        candidate.log_prior = np.repeat(candidate.log_prior - np.log(4.0), 4, axis=1)
-        # What has been folded in for good is known only on the old points.
-        candidate.evidence = np.repeat(candidate.folded(), 4, axis=1)
-        candidate.spacing_m = half
-        candidate.expose(self.exposure_at(candidate.points_m))
-        for number, share in candidate.share.items():
-            log = self.log_likelihood(candidate, number)
-            candidate.know(number, log)
-            candidate.evidence += share * log
-
-    def _merge(self) -> bool:
-        """Let one candidate speak for two where that explains better what both sent; whether any does."""
-        done = merged = False
-        while not done:
-            done = True
-            for first in self.candidates:
-                for second in self.candidates:
-                    if first.ident >= second.ident or first.name or second.name:
-                        continue
-                    if not (self._close(first, second) or self._one_in_shadow(first, second)):
-                        continue
-                    if not self._worth_a_look(first, second):
-                        continue
-                    keep, drop = (first, second) if first.receptions >= second.receptions else (second, first)
-                    settle = self._tell_given_each_other if self.places is not None else None
-                    gain = merged_gain(keep, drop, settle)
-                    if gain == -np.inf:
-                        keep, drop = drop, keep
-                        gain = merged_gain(keep, drop, settle)
-                    if gain > 0.0:
-                        for number, share in drop.share.items():
-                            if number in keep.share and share > 0.0:
-                                keep.set_share(number, min(1.0, keep.share[number] + share))
-                        if drop.absorbed > 0.0:
-                            keep.take_over_folded(drop)
-                        keep.first_ns = min(
-                            (t for t in (keep.first_ns, drop.first_ns) if t is not None), default=None
-                        )
-                        if drop.last_ns > keep.last_ns:
-                            keep.last_ns, keep.exposure_then_s = drop.last_ns, drop.exposure_then_s
-                        self.remove(drop)
-                        self._summaries.pop(keep.ident, None)
-                        done, merged = False, True
-                        break
-                if not done:
-                    break
-        return merged
-
-    def _one_in_shadow(self, first: Candidate, second: Candidate) -> bool:
-        """Whether the smaller may be nothing but what shadows do to the larger, wherever it seems to be."""
-        if self.places is None:
-            return False
-        small, large = sorted((first, second), key=lambda each: each.receptions)
-        return all(number in large.logs for number, share in small.share.items() if share > 0.02)
-
-    def _worth_a_look(self, first: Candidate, second: Candidate) -> bool:
-        """Whether enough was heard of two neighbours since they were last found to be two; always without place noise.
-
-        To tell all they claim given each other takes time.
-        """
-        if self.places is None:
-            return True
-        pair, heard = (first.ident, second.ident), first.receptions + second.receptions
-        if heard < self._merge_at.get(pair, 0.0):
-            return False
-        self._merge_at[pair] = max(heard + 0.9, 1.1 * heard)
-        return True
-
-    def _close(self, first: Candidate, second: Candidate) -> bool:
-        a, b = self.summary(first), self.summary(second)
-        spread = np.sqrt(np.trace(a.cov_m2)) + np.sqrt(np.trace(b.cov_m2))
-        result: bool = float(np.hypot(*(a.mean_m - b.mean_m))) < 3.0 * self.field.cell_m + 2.0 * spread
-        return result
 
     def remove(self, candidate: Candidate) -> None:
         """Drop a candidate; its detections are for others to claim."""
@@ -649,6 +508,8 @@ class Mixture:
         """Close old detections beyond `max_open`: of sources that have many, so that no rare one is forgotten."""
         while len(self.open) > self.tuning.max_open:
             number = self._to_fold()
+            share = math.fsum(candidate.share.get(number, 0.0) for candidate in self.candidates)
+            self._clutter_folded += max(0.0, 1.0 - self.unclaimed[number] - share)
             for candidate in self.candidates:
                 candidate.forget(number)
             self.named.discard(number)

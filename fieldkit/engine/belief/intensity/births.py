@@ -1,0 +1,128 @@
+"""Where candidates come from: a place where one more source explains what was heard, and points that get finer."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fieldkit.engine.belief.intensity.candidate import Candidate
+
+if TYPE_CHECKING:
+    from fieldkit.engine.belief.intensity.mixture import Mixture
+
+MOST_STILLBORN = 20
+
+
+def birth(mixture: "Mixture") -> bool:
+    """A candidate where one more source explains what was heard better than none; whether there was one."""
+    expected = mixture.another_source()
+    prior = mixture.settings.expected_sources * mixture.ground.sources_a_cell / mixture.model.n_known
+    place = np.where(expected > prior, expected, 0.0).sum(axis=0)
+    for (east, north), odds in mixture.stillborn:
+        # What did not last is tried again when there is much more to be said for it.
+        far2 = (mixture.grid.east_m[None, :] - east) ** 2 + (mixture.grid.north_m[:, None] - north) ** 2
+        near_it = far2 <= (mixture.model.reach_m / 2.0) ** 2
+        if place[near_it].sum() < mixture.tuning.again_odds * odds:
+            place[near_it] = 0.0
+    if place.sum() < mixture.tuning.birth_odds:
+        return False
+    row, column = np.unravel_index(int(np.argmax(place)), place.shape)
+    level = int(np.argmax(expected[:, row, column]))
+    near = place > 1e-4 * place.max()
+    reach = int(np.ceil(mixture.model.reach_m / mixture.grid.cell_m))
+    south, west = max(0, int(row) - reach), max(0, int(column) - reach)
+    rows = np.nonzero(near[south : int(row) + reach + 1].any(axis=1))[0] + south
+    columns = np.nonzero(near[:, west : int(column) + reach + 1].any(axis=0))[0] + west
+    candidate = new_candidate(
+        mixture,
+        (int(columns.min()), int(columns.max()) + 1),
+        (int(rows.min()), int(rows.max()) + 1),
+        spacing=1.0,
+    )
+    rate = mixture.settings.reference_rate_hz
+    for number, stored in mixture.open.items():
+        if number in mixture.named or not mixture.in_reach(candidate, stored):
+            continue
+        # With place noise each is told given those claimed before it: as independent witnesses they would
+        # rule out ground that is not to be had back.
+        candidate.know(number, mixture.log_likelihood(candidate, number))
+        row0, row1, column0, column1 = stored.box
+        if row0 <= row < row1 and column0 <= column < column1:
+            like = stored.like.array[level, (row - row0) * (column1 - column0) + column - column0]
+            ratio = rate * like * np.exp(stored.log_scale - mixture.explained[number])
+            candidate.set_share(number, float(ratio / (1.0 + ratio)))
+    if candidate.receptions < mixture.tuning.death_receptions:
+        return False
+    for number, share in candidate.share.items():
+        for other in mixture.candidates:
+            if share > 0.0 and number in other.share:
+                other.set_share(number, other.share[number] * (1.0 - share))
+    mixture.forget_summaries()
+    mixture.candidates.append(candidate)
+    at = float(mixture.grid.east_m[column]), float(mixture.grid.north_m[row])
+    mixture.born[candidate.ident] = (at, float(place.sum()))
+    return True
+
+
+def remember_births(mixture: "Mixture") -> None:
+    """Where a candidate was tried that did not last, under place noise: there every detection would try again."""
+    lived = {candidate.ident for candidate in mixture.candidates}
+    if mixture.places is not None:
+        gone = [each for ident, each in mixture.born.items() if ident not in lived]
+        mixture.stillborn = [*mixture.stillborn, *gone][-MOST_STILLBORN:]
+    mixture.born.clear()
+
+
+def new_candidate(
+    mixture: "Mixture",
+    columns: tuple[int, int],
+    rows: tuple[int, int],
+    *,
+    spacing: float | None = None,
+    most: int | None = None,
+) -> Candidate:
+    """An empty candidate whose cloud covers these cells (half open) and one more all round.
+
+    `spacing` of its points, in cells: whole, or one over a whole number. Where that makes more than `most`
+    (the tuning's `most_points`) of them they stand further apart, until the candidate is refined.
+    """
+    spacing, most = spacing or mixture.tuning.fine_cells, most or mixture.tuning.most_points
+    columns = (max(0, columns[0] - 1), min(mixture.grid.n_east, columns[1] + 1))
+    rows = (max(0, rows[0] - 1), min(mixture.grid.n_north, rows[1] + 1))
+    while (columns[1] - columns[0]) * (rows[1] - rows[0]) > most * spacing**2:
+        spacing *= 2.0
+    fine = mixture.grid.cell_m * spacing
+    east = (np.arange(math.floor(columns[0] / spacing), math.ceil(columns[1] / spacing)) + 0.5) * fine
+    north = (np.arange(math.floor(rows[0] / spacing), math.ceil(rows[1] / spacing)) + 0.5) * fine
+    east = east[east < mixture.grid.n_east * mixture.grid.cell_m]
+    north = north[north < mixture.grid.n_north * mixture.grid.cell_m]
+    east, north = east + mixture.grid.west_m, north + mixture.grid.south_m
+    points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
+    density = mixture.settings.expected_sources * mixture.ground.sources_a_cell * spacing**2
+    prior = np.repeat(mixture.model.log_prior[:, None] + np.log(density), points.shape[0], axis=1)
+    return Candidate(
+        mixture.next_ident(),
+        points,
+        prior,
+        mixture.rate_prior_s,
+        mixture.exposure_at(points),
+        fine,
+        mixture.arena,
+        mixture.tuning,
+    )
+
+
+def refine(mixture: "Mixture", candidate: Candidate) -> None:
+    """Tell a candidate that has become small on four points for each of its own; its shares stay."""
+    half = candidate.spacing_m / 2
+    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]]) * half
+    candidate.points_m = np.ascontiguousarray((candidate.points_m[:, None, :] + corners).reshape(-1, 2))
+    candidate.log_prior = np.repeat(candidate.log_prior - np.log(4.0), 4, axis=1)
+    # What has been folded in for good is known only on the old points.
+    candidate.evidence = np.repeat(candidate.folded(), 4, axis=1)
+    candidate.spacing_m = half
+    candidate.expose(mixture.exposure_at(candidate.points_m))
+    for number, share in candidate.share.items():
+        log = mixture.log_likelihood(candidate, number)
+        candidate.know(number, log)
+        candidate.evidence += share * log

@@ -1,0 +1,78 @@
+"""When two candidates are one: where that explains better what both sent."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fieldkit.engine.belief.intensity.candidate import Candidate, merged_gain
+
+if TYPE_CHECKING:
+    from fieldkit.engine.belief.intensity.mixture import Mixture
+
+
+def merge(mixture: "Mixture") -> bool:
+    """Let one candidate speak for two where that explains better what both sent; whether any does."""
+    done = merged = False
+    while not done:
+        done = True
+        for first in mixture.candidates:
+            for second in mixture.candidates:
+                if first.ident >= second.ident or first.name or second.name:
+                    continue
+                if not (_close(mixture, first, second) or _one_in_shadow(mixture, first, second)):
+                    continue
+                if not _worth_a_look(mixture, first, second):
+                    continue
+                keep, drop = (first, second) if first.receptions >= second.receptions else (second, first)
+                settle = mixture.tell_given_each_other if mixture.places is not None else None
+                gain = merged_gain(keep, drop, settle)
+                if gain == -np.inf:
+                    keep, drop = drop, keep
+                    gain = merged_gain(keep, drop, settle)
+                if gain > 0.0:
+                    for number, share in drop.share.items():
+                        if number in keep.share and share > 0.0:
+                            keep.set_share(number, min(1.0, keep.share[number] + share))
+                    if drop.absorbed > 0.0:
+                        keep.take_over_folded(drop)
+                    keep.first_ns = min(
+                        (t for t in (keep.first_ns, drop.first_ns) if t is not None), default=None
+                    )
+                    if drop.last_ns > keep.last_ns:
+                        keep.last_ns, keep.exposure_then_s = drop.last_ns, drop.exposure_then_s
+                    mixture.remove(drop)
+                    mixture.forget_summary(keep)
+                    done, merged = False, True
+                    break
+            if not done:
+                break
+    return merged
+
+
+def _one_in_shadow(mixture: "Mixture", first: Candidate, second: Candidate) -> bool:
+    """Whether the smaller may be nothing but what shadows do to the larger, wherever it seems to be."""
+    if mixture.places is None:
+        return False
+    small, large = sorted((first, second), key=lambda each: each.receptions)
+    return all(number in large.logs for number, share in small.share.items() if share > 0.02)
+
+
+def _worth_a_look(mixture: "Mixture", first: Candidate, second: Candidate) -> bool:
+    """Whether enough was heard of two neighbours since they were last found to be two; always without place noise.
+
+    To tell all they claim given each other takes time.
+    """
+    if mixture.places is None:
+        return True
+    pair, heard = (first.ident, second.ident), first.receptions + second.receptions
+    if heard < mixture.merge_at.get(pair, 0.0):
+        return False
+    mixture.merge_at[pair] = max(heard + 0.9, 1.1 * heard)
+    return True
+
+
+def _close(mixture: "Mixture", first: Candidate, second: Candidate) -> bool:
+    a, b = mixture.summary(first), mixture.summary(second)
+    spread = np.sqrt(np.trace(a.cov_m2)) + np.sqrt(np.trace(b.cov_m2))
+    result: bool = float(np.hypot(*(a.mean_m - b.mean_m))) < 3.0 * mixture.field.cell_m + 2.0 * spread
+    return result
