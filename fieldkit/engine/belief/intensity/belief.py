@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 from scipy.stats import gamma
 
 from fieldkit.engine.belief.base import Unresolved
@@ -223,7 +224,10 @@ class IntensityBelief:
         place = candidate.posterior().sum(axis=0)
         at = np.floor(candidate.points_m[:, ::-1] / self.grid.cell_m).astype(int)
         cells, which = np.unique(at, axis=0, return_inverse=True)
-        weight = np.bincount(which.ravel(), weights=place)
+        weight = np.asarray(np.bincount(which.ravel(), weights=place), dtype=float)
+        sigma_cells = self.mixture.summary(candidate).shared_sigma_m / self.grid.cell_m
+        if sigma_cells > 0.25:
+            cells, weight = _blurred(cells, weight, sigma_cells)
         order = np.argsort(-weight, kind="stable")
         needed = int(np.searchsorted(np.cumsum(weight[order]), 0.9)) + 1
         return {(int(row), int(column)) for row, column in cells[order[:needed]]}
@@ -349,6 +353,19 @@ class IntensityBelief:
             state.update(candidate.evidence.tobytes())
             state.update(repr(sorted(candidate.share.items())).encode())
         return state.digest()
+
+
+def _blurred(
+    cells: NDArray[np.intp], weight: FloatArray, sigma_cells: float
+) -> tuple[NDArray[np.intp], FloatArray]:
+    """Cells (k, 2) and their weights after an error of the positions, common to all that was heard."""
+    pad = int(np.ceil(3.0 * sigma_cells))
+    low = cells.min(axis=0) - pad
+    grid = np.zeros(tuple(cells.max(axis=0) + pad + 1 - low))
+    grid[tuple((cells - low).T)] = weight
+    grid = gaussian_filter(grid, sigma_cells, mode="constant")
+    some = np.argwhere(grid > 1e-9)
+    return some + low, np.asarray(grid[tuple(some.T)] / grid.sum())
 
 
 def rates_above(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
+from scipy.special import gammaln, ndtr
 
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
@@ -21,6 +21,8 @@ from fieldkit.tuning import IntensityTuning
 
 NEGLIGIBLE_FOLDED = 3.0
 """By so many nats a point that was dropped is less probable than the least of those that were kept."""
+SHARED_LEAST = 0.2
+"""An error of positions that is less than this share of what is asked is left out."""
 ACTIVE_NATS = 40.0
 """A detection may lower an entry by this much and still have it count when it is left out."""
 
@@ -230,6 +232,8 @@ class Summary:
     p_outside: float
     exposure_s: float
     p_in_field: float
+    shared_sigma_m: float
+    """How far the positions that told of it may be off together: what no number of readings of a minute mends."""
 
 
 def summarise(
@@ -240,31 +244,39 @@ def summarise(
     cell_m: float,
     radius_m: float | None = None,
     in_field: NDArray[np.bool_] | None = None,
+    shared_sigma_m: float = 0.0,
 ) -> Summary:
     """Mean place, covariance, and the probability of being within one cell (or a radius) of the mean.
 
-    `power_db` (h - 1,) of the fixed hypotheses; the varying one counts as their known mean. `in_field` (n,) says which
-    points lie in the field; None: all.
+    `shared_sigma_m` is by how much all positions that told of it may be off together. `power_db` (h - 1,) of the
+    fixed hypotheses; the varying one counts as their known mean. `in_field` (n,) says which points lie in the field;
+    None: all.
     """
     place = posterior.sum(axis=0)
     mean = place @ candidate.points_m
     offset = candidate.points_m - mean
-    cov = (offset * place[:, None]).T @ offset
-    if radius_m is None:
-        here = (np.abs(offset) <= cell_m).all(axis=1)
+    cov = (offset * place[:, None]).T @ offset + shared_sigma_m**2 * np.eye(2)
+    if shared_sigma_m > SHARED_LEAST * (radius_m or cell_m):
+        # The circle as a square of the same area: its sides are independent.
+        half_m = 0.5 * np.sqrt(np.pi) * radius_m if radius_m is not None else 1.0 * cell_m
+        inside = ndtr((half_m - offset) / shared_sigma_m) - ndtr((-half_m - offset) / shared_sigma_m)
+        here = inside.prod(axis=1)
+    elif radius_m is None:
+        here = (np.abs(offset) <= cell_m).all(axis=1).astype(float)
     else:
-        here = np.hypot(offset[:, 0], offset[:, 1]) <= radius_m
+        here = (np.hypot(offset[:, 0], offset[:, 1]) <= radius_m).astype(float)
     by_power = posterior.sum(axis=1)
     fixed = by_power[:-1]
     power = float(fixed @ power_db / max(fixed.sum(), 1e-12))
     return Summary(
         mean,
         cov,
-        float(place[here].sum()),
+        float(place @ here),
         power,
         float(by_power[outside].sum()),
         candidate.mean_exposure_s(posterior),
         1.0 if in_field is None else float(place[in_field].sum()),
+        shared_sigma_m,
     )
 
 

@@ -31,6 +31,8 @@ from fieldkit.engine.likelihood.places import NOTHING_EARLIER, Earlier, PlaceNoi
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening, part_of
 
+SHARED_NS = 60_000_000_000
+"""Positions err together for so long."""
 WATCHED_FROM = 5.0
 """Receptions from which on a candidate is known well enough to measure receivers by."""
 
@@ -459,8 +461,25 @@ class Mixture:
                 self.field.cell_m,
                 self.settings.find_radius_m,
                 self.ground.has_field(candidate.points_m),
+                self._shared_sigma_m(candidate),
             )
         return self._summaries[candidate.ident]
+
+    def _shared_sigma_m(self, candidate: Candidate) -> float:
+        """How far the positions that told of it may be off together.
+
+        Errors of satellites last about a minute: the readings of a minute share one, those of others have their own.
+        """
+        own = [
+            self.open[number].detection
+            for number, share in candidate.share.items()
+            if share >= self.tuning.claimed and number in self.open
+        ]
+        if not own:
+            return self.settings.pose_sigma_m
+        sigmas = [float(each.sigma_m.mean()) if each.sigma_m.size else 0.0 for each in own]
+        minutes = len({each.t_ns // SHARED_NS for each in own})
+        return max(self.settings.pose_sigma_m, float(np.mean(sigmas))) / math.sqrt(minutes)
 
     def another_source(self, rate_hz: float | None = None) -> FloatArray:
         """(known levels, n_north, n_east) expected number of sources of this rate not among the candidates.
