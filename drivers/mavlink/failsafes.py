@@ -21,6 +21,8 @@ IN_HOLD = 1
 GOES_ON_WITH_PILOT = 16
 """FS_OPTIONS of a copter: in modes that a pilot flies, and Brake counts as one, the failsafe does nothing."""
 BOAT = 2
+SWING_RADII = 2.0
+"""A car that turns round swings by so many turning radii to the side."""
 TERMINATE = 5
 """BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
 
@@ -89,6 +91,7 @@ def judge(robot: str, firmware: Firmware, values: Values, own_id: int, demands: 
         *_battery(judge, firmware),
         *_fence(judge, firmware, demands),
         *_speed(judge, firmware, demands),
+        *_turning(judge, firmware, demands),
     ]
 
 
@@ -250,6 +253,19 @@ def _fence(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]:
         checks.append(judge.check("fence action", level, found, f"FENCE_TYPE {int(judge['FENCE_TYPE']) | 4}"))
     found = f"FENCE_ACTION {judge['FENCE_ACTION']:g}, margin {judge['FENCE_MARGIN']:g} m"
     return checks or [judge.check("fence action", "green", found)]
+
+
+def _turning(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]:
+    """Whether two that set out beside each other, each swinging wide, may touch: safety reckons with straight ways."""
+    needs_m = 2.0 * SWING_RADII * judge["TURN_RADIUS"]
+    if firmware is not ROVER or not 0.0 < demands.min_separation_m < needs_m:
+        return []
+    found = (
+        f"TURN_RADIUS is {judge['TURN_RADIUS']:g} m: two that turn side by side need {needs_m:.1f} m, and "
+        f"safety.min_separation_m is {demands.min_separation_m:g}"
+    )
+    remedy = f"safety.min_separation_m = {needs_m:.1f} in the mission file, or start them well apart"
+    return [Check(judge.robot, "separation", "amber", found, remedy)]
 
 
 def _speed(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]:

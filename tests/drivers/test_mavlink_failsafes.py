@@ -35,6 +35,16 @@ def judged(firmware, values, demands=LIMIT):
     return found
 
 
+@pytest.mark.parametrize(("apart_m", "level"), [(0.0, None), (0.5, "amber"), (3.59, "amber"), (3.6, None)])
+def test_cars_that_turn_wide_need_room_between_them(apart_m, level):
+    demands = Demands(1.0, (), False, (), apart_m)
+    assert judged(ROVER, ROVER_GOOD | {"TURN_RADIUS": 0.9}, demands).get("separation") == level
+    assert "separation" not in judged(ROVER, ROVER_GOOD | {"TURN_RADIUS": 0.0}, demands), (
+        "it turns on the spot"
+    )
+    assert "separation" not in judged(COPTER, COPTER_GOOD, demands)
+
+
 @pytest.mark.parametrize(("firmware", "good"), [(ROVER, ROVER_GOOD), (COPTER, COPTER_GOOD), (PX4, PX4_GOOD)])
 def test_a_vehicle_that_would_stop_by_itself_is_green_all_over(firmware, good):
     assert set(judged(firmware, good).values()) == {"green"}
