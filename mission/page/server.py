@@ -137,8 +137,8 @@ class Page:
     @property
     def address(self) -> str:
         """Where to look; without the right to command."""
-        shown = "127.0.0.1" if self.host in ("0.0.0.0", "::") else self.host
-        return f"http://{shown}:{self.port}/"
+        shown = own_address() if self.host in ("0.0.0.0", "::") else self.host
+        return f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}/"
 
     @property
     def command_address(self) -> str:
@@ -256,10 +256,24 @@ async def _send(websocket: WebSocket, mailbox: Mailbox) -> None:
             await websocket.close(1008)
 
 
+def own_address() -> str:
+    """An IPv4 address at which others in the network reach this machine; its own for itself where there is none."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        # Nothing is sent: this asks by which interface a packet would leave.
+        probe.connect(("192.0.2.1", 9))
+        return str(probe.getsockname()[0])
+    with contextlib.suppress(OSError):  # a network without a way out of it, as in the field
+        for address in socket.gethostbyname_ex(socket.gethostname())[2]:
+            if not address.startswith("127."):
+                return address
+    return "127.0.0.1"
+
+
 def is_known_host(header: str, served: str) -> bool:
     """Whether a Host header is an address or a name of this machine: foreign names that point here are not."""
     name = urlsplit(f"//{header}").hostname or ""
-    if name in ("localhost", served, socket.gethostname().lower()):
+    own = socket.gethostname().lower()
+    if name in ("localhost", served, own, f"{own.removesuffix('.local')}.local"):
         return True
     try:
         ipaddress.ip_address(name)

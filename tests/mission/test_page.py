@@ -1,6 +1,9 @@
 """The page without a browser: what is kept for a slow one, what is folded from the stream, who may ask."""
 
+import socket
 from pathlib import Path
+from typing import Any, cast
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -19,7 +22,7 @@ from mission.lab.synthetic import small_mission
 from mission.page.commands import checked_command
 from mission.page.exposure import Exposure
 from mission.page.live import LiveShow
-from mission.page.server import NEWS_WAITING, Mailbox, is_known_host, is_own_origin
+from mission.page.server import NEWS_WAITING, Mailbox, Page, is_known_host, is_own_origin, own_address
 from mission.page.view import View, grid, thin
 
 S = 1_000_000_000
@@ -141,10 +144,31 @@ def test_commands_from_browsers_are_checked() -> None:
     assert isinstance(checked_command({"action": "withdraw"}), str)
 
 
+@pytest.mark.parametrize(
+    ("host", "shown"),
+    [("127.0.0.1", "http://127.0.0.1:"), ("::1", "http://[::1]:"), ("0.0.0.0", f"http://{own_address()}:")],
+)
+def test_the_address_that_is_printed_is_one_to_open(host: str, shown: str) -> None:
+    page = Page(cast(Any, None), host=host)
+    try:
+        assert page.address.startswith(shown)
+        with socket.create_connection((urlsplit(page.address).hostname or "", page.port), timeout=5.0):
+            pass
+    finally:
+        page._socket.close()
+
+
 def test_only_names_of_this_machine_and_addresses_are_known_hosts() -> None:
     for host in ("127.0.0.1:8321", "localhost:8321", "192.168.1.7:80", "[::1]:8321"):
         assert is_known_host(host, "127.0.0.1")
-    for host in ("evil.example:8321", "", "localhost.evil.example"):
+    own = socket.gethostname()
+    for host in (
+        own,
+        f"{own.upper()}:80",
+        f"{own}.local:8321",
+    ):  # as phones find a laptop without a name server
+        assert is_known_host(host, "0.0.0.0")
+    for host in ("evil.example:8321", "", "localhost.evil.example", f"{own}.evil.local"):
         assert not is_known_host(host, "127.0.0.1")
     assert is_own_origin(None, "a:1") and is_own_origin("http://a:1", "a:1")
     assert not is_own_origin("http://b:1", "a:1") and not is_own_origin("null", "a:1")
