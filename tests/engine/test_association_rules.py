@@ -43,16 +43,8 @@ def who(detections: list[Detection]) -> list[list[str]]:
 # Poses of one robot
 
 
-class Level(PoseTrack):
-    """A track of which a test asks for place and heading alone."""
-
-    def flat(self, t_ns: int) -> tuple[float, ...] | None:
-        found = self.at(t_ns)
-        return None if found is None else found[:3]
-
-
-def line(*places: tuple[int, float, float, float], gap_ns: int = S) -> Level:
-    track = Level(gap_ns)
+def line(*places: tuple[int, float, float, float], gap_ns: int = S) -> PoseTrack:
+    track = PoseTrack(gap_ns)
     for t_ns, east, north, heading in places:
         track.add(Pose(t_ns, "a", east, north, heading_deg=heading))
     return track
@@ -65,39 +57,39 @@ def test_a_track_without_poses_is_nowhere() -> None:
 def test_a_pose_of_the_same_instant_is_dropped_and_a_nanosecond_later_kept() -> None:
     track = line((5, 1.0, 0.0, 0.0), (5, 2.0, 0.0, 0.0), (6, 3.0, 0.0, 0.0), (4, 9.0, 0.0, 0.0))
     assert track.t_ns == [5, 6]
-    assert [track.flat(t) for t in (5, 6)] == [(1.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
+    assert [track.at(t) for t in (5, 6)] == [(1.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
 
 
 def test_at_a_pose_it_is_that_pose_wherever_in_the_track() -> None:
     track = line((0, 1.0, 4.0, 10.0), (S, 2.0, 5.0, 20.0), (2 * S, 3.0, 6.0, 30.0))
-    assert [track.flat(k * S) for k in range(3)] == [(1.0, 4.0, 10.0), (2.0, 5.0, 20.0), (3.0, 6.0, 30.0)]
+    assert [track.at(k * S) for k in range(3)] == [(1.0, 4.0, 10.0), (2.0, 5.0, 20.0), (3.0, 6.0, 30.0)]
 
 
 @pytest.mark.parametrize("gap_ns", [S, 4 * S])
 def test_before_the_first_and_after_the_last_pose_half_a_gap_is_known(gap_ns: int) -> None:
     half = gap_ns // 2
     track = line((10 * S, 1.0, 4.0, 10.0), (10 * S + 1, 2.0, 5.0, 20.0), gap_ns=gap_ns)
-    assert track.flat(10 * S - half) == (1.0, 4.0, 10.0)
-    assert track.flat(10 * S - half - 1) is None
-    assert track.flat(10 * S + 1 + half) == (2.0, 5.0, 20.0)
-    assert track.flat(10 * S + 2 + half) is None
+    assert track.at(10 * S - half) == (1.0, 4.0, 10.0)
+    assert track.at(10 * S - half - 1) is None
+    assert track.at(10 * S + 1 + half) == (2.0, 5.0, 20.0)
+    assert track.at(10 * S + 2 + half) is None
 
 
 def test_between_poses_as_far_apart_as_the_gap_it_is_known_and_no_further() -> None:
-    assert line((0, 0.0, 8.0, 0.0), (S, 4.0, 0.0, 0.0)).flat(S // 4) == (1.0, 6.0, 0.0)
-    assert line((0, 0.0, 8.0, 0.0), (S + 1, 4.0, 0.0, 0.0)).flat(S // 4) is None
+    assert line((0, 0.0, 8.0, 0.0), (S, 4.0, 0.0, 0.0)).at(S // 4) == (1.0, 6.0, 0.0)
+    assert line((0, 0.0, 8.0, 0.0), (S + 1, 4.0, 0.0, 0.0)).at(S // 4) is None
 
 
 def test_between_poses_the_two_around_count_not_the_ends_of_the_track() -> None:
     track = line((0, 9.0, 9.0, 90.0), (S, 0.0, 8.0, 0.0), (2 * S, 4.0, 0.0, 0.0), (3 * S, 7.0, 7.0, 70.0))
-    assert track.flat(S + S // 4) == (1.0, 6.0, 0.0)
+    assert track.at(S + S // 4) == (1.0, 6.0, 0.0)
 
 
 def test_height_is_interpolated_and_a_place_is_as_unsure_as_the_less_sure_pose_beside_it() -> None:
     track = PoseTrack(S)
     for t_ns, up_m, sigma_m in ((0, 8.0, 0.5), (S, 4.0, 0.1), (2 * S, 4.0, 0.2)):
         track.add(Pose(t_ns, "a", 0.0, 0.0, up_m, 0.0, sigma_m))
-    found = [track.at(t_ns) for t_ns in (0, S // 4, S, S + S // 2, 2 * S + 1)]
+    found = [track.place_at(t_ns) for t_ns in (0, S // 4, S, S + S // 2, 2 * S + 1)]
     assert [place[3:] for place in found if place] == [
         (8.0, 0.5),
         (7.0, 0.5),
@@ -117,14 +109,14 @@ def test_headings_turn_the_short_way(first: float, then: float, quarter: float) 
 
 
 def test_a_track_forgets_what_is_older_than_half_a_minute_once_it_is_long() -> None:
-    track = Level(2 * S)
+    track = PoseTrack(2 * S)
     for k in range(64):
         track.add(Pose(k * S, "a", float(k), float(-k)))
     assert len(track.t_ns) == 64, "not long enough to be looked at"
     track.add(Pose(64 * S, "a", 64.0, -64.0))
     assert track.t_ns == [k * S for k in range(32, 65)] and len(track.poses) == 33
-    assert track.flat(31 * S - 1) is None
-    assert all(track.flat(k * S) == (float(k), float(-k), 0.0) for k in range(32, 65))
+    assert track.at(31 * S - 1) is None
+    assert all(track.at(k * S) == (float(k), float(-k), 0.0) for k in range(32, 65))
 
 
 def test_a_track_keeps_what_is_half_a_minute_old_to_the_nanosecond() -> None:

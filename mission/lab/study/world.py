@@ -22,10 +22,9 @@ from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
 from mission.lab.simulate import Truth, simulate
 from mission.lab.study.pool import Progress, run_trials
-from mission.lab.study.shadowing import Sometimes
+from mission.lab.study.shadowing import FOUND_WITHIN_M, Sometimes
 from mission.lab.study.trust import CELL_M, FIELD_M, LEVELS_DB, RATE_HZ, antenna, settings
 
-FOUND_WITHIN_M = 1.0
 CAP_S = 1500.0
 DEG = np.arange(0.0, 360.0, 10.0)
 RIPPLE_DB = tuple(
