@@ -295,9 +295,9 @@ def test_what_was_folded_goes_on_vouching_for_a_source():
 
 
 def test_positions_that_err_together_are_not_averaged_out_within_a_minute():
-    """The same readings: in one minute they share an error of 2 m, over twenty minutes a twentieth of its square."""
+    """The same readings: within two minutes they share an error of 2 m, over many they share about its twentieth."""
     spread = {}
-    for apart_s in (1, 60):
+    for apart_s in (1, 120):
         belief, rng = IntensityBelief(engine(spread=None, pose_sigma_m=2.0)), np.random.default_rng(3)
         for k in range(20):
             place = np.array([6.0, 6.0]) + rng.uniform(-1.5, 1.5, 2)
@@ -305,5 +305,5 @@ def test_positions_that_err_together_are_not_averaged_out_within_a_minute():
             belief.detect(detection([float(z)], [tuple(place)], t_ns=apart_s * k * 10**9))
         best = max(belief.sources(), key=lambda each: each.receptions)
         spread[apart_s] = (np.sqrt(np.trace(best.cov_m2)), best.p_here, best.region_90)
-    assert spread[1][0] ** 2 - spread[60][0] ** 2 == pytest.approx(2.0 * 4.0 * (1.0 - 1.0 / 20.0), abs=0.05)
-    assert spread[1][1] < spread[60][1] and spread[1][2] > spread[60][2]
+    assert spread[1][0] ** 2 - spread[120][0] ** 2 == pytest.approx(2.0 * 4.0 * (1.0 - 1.0 / 20.0), abs=0.1)
+    assert spread[1][1] < spread[120][1] and spread[1][2] > spread[120][2]

@@ -8,9 +8,10 @@ import pytest
 from fieldkit.channel.model import Antenna
 from fieldkit.channel.pattern import lobe_gain_db
 from fieldkit.messages import Detection, SourceEstimate
+from fieldkit.settings import ELLIPSE_90
 from fieldkit.world.channel import sample_rss_dbm
 from mission.analysis.coverage import coverage
-from mission.analysis.refine import ELLIPSE_90, model_fit, refine
+from mission.analysis.refine import model_fit, refine
 
 ANTENNA = Antenna(2.5, -60.0, 3.0, -95.0, -20.0)
 LEVELS = (-4.0, 0.0)

@@ -31,8 +31,8 @@ from fieldkit.engine.likelihood.places import NOTHING_EARLIER, Earlier, PlaceNoi
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening, part_of
 
-SHARED_NS = 60_000_000_000
-"""Positions err together for so long."""
+SHARED_NS = 120_000_000_000
+"""Positions err together for so long: twice the time in which such an error falls to 1/e."""
 WATCHED_FROM = 5.0
 """Receptions from which on a candidate is known well enough to measure receivers by."""
 
@@ -468,18 +468,28 @@ class Mixture:
     def _shared_sigma_m(self, candidate: Candidate) -> float:
         """How far the positions that told of it may be off together.
 
-        Errors of satellites last about a minute: the readings of a minute share one, those of others have their own.
+        Errors of satellites last about a minute: readings nearer in time share one. Readings made nearer to the source
+        tell more of its place, by the Fisher information of a distance: a few of them may be all that counts.
         """
         own = [
-            self.open[number].detection
+            self.open[number]
             for number, share in candidate.share.items()
             if share >= self.tuning.claimed and number in self.open
         ]
         if not own:
             return self.settings.pose_sigma_m
-        sigmas = [float(each.sigma_m.mean()) if each.sigma_m.size else 0.0 for each in own]
-        minutes = len({each.t_ns // SHARED_NS for each in own})
-        return max(self.settings.pose_sigma_m, float(np.mean(sigmas))) / math.sqrt(minutes)
+        sigmas = [
+            float(each.detection.sigma_m.mean()) if each.detection.sigma_m.size else 0.0 for each in own
+        ]
+        sigma_m = max(self.settings.pose_sigma_m, float(np.mean(sigmas)))
+        middle = candidate.points_m[int(candidate.log_posterior().max(axis=0).argmax())]
+        told: dict[int, float] = {}
+        for each in own:
+            far2 = float(((each.near_m - middle) ** 2).sum(axis=1).min()) + sigma_m**2 + self.field.cell_m**2
+            block = each.detection.t_ns // SHARED_NS
+            told[block] = told.get(block, 0.0) + 1.0 / far2
+        weight = np.array(list(told.values()))
+        return float(sigma_m * np.sqrt((weight**2).sum()) / weight.sum())
 
     def another_source(self, rate_hz: float | None = None) -> FloatArray:
         """(known levels, n_north, n_east) expected number of sources of this rate not among the candidates.
