@@ -11,6 +11,19 @@ emulate = typer.Typer(
 )
 
 Rate = Annotated[float, typer.Option(help="Mission seconds per wall second.")]
+
+
+def _finite(**options: float) -> None:
+    """Raises `ConfigError` for an option that is no number: a bound does not keep one out."""
+    import math
+
+    from fieldkit.errors import ConfigError
+
+    for name, value in options.items():
+        if not math.isfinite(value):
+            raise ConfigError(f"--{name.replace('_', '-')}: expected a number, got {value}")
+
+
 Seed = Annotated[int, typer.Option(help="Same seed, same sources and noise.")]
 
 
@@ -36,6 +49,7 @@ def xbee(
         raise ConfigError(f"--profile: no '{profile}'; there are: {', '.join(PROFILES)}")
     if rate_hz <= 0:
         raise ConfigError(f"--rate-hz: expected a positive number, got {rate_hz:g}")
+    _finite(rate_hz=rate_hz, rss_dbm=rss_dbm, sigma_db=sigma_db)
     settings = {"AP": api_mode, "AO": output}
     asyncio.run(run_xbee(PROFILES[profile], settings, rate_hz, rss_dbm, sigma_db, tcp, seed))
 
@@ -59,6 +73,7 @@ def rover(
 
     if firmware not in PROFILES:
         raise ConfigError(f"--firmware: no '{firmware}'; there are: {', '.join(PROFILES)}")
+    _finite(latitude_deg=latitude_deg, longitude_deg=longitude_deg, max_speed_m_s=max_speed_m_s)
     robots = (EmulatedRobot(firmware, system_id, 0.0, 0.0, firmware=firmware),)
     run_field(robots, (), address, (latitude_deg, longitude_deg), max_speed_m_s, rate, seed)
 
@@ -79,6 +94,7 @@ def field(
     from drivers.emulators.field import EmulatedRobot
     from fieldkit.world.sources import random_sources
 
+    _finite(size_m=size_m)
     rng = np.random.default_rng(seed)
     hidden = random_sources(sources, size_m, size_m, (0.0,), 0.1, rng)
     team = tuple(
@@ -133,6 +149,7 @@ def sniffer(
 
     if kind not in ("nrf", "ti", "pcap"):
         raise ConfigError(f"--kind: expected nrf, ti or pcap, got {kind!r}")
+    _finite(rate_hz=rate_hz, rss_dbm=rss_dbm, sigma_db=sigma_db)
     asyncio.run(run_sniffer(kind, channel, rate_hz, rss_dbm, sigma_db, seed))
 
 
@@ -155,6 +172,7 @@ def printer(
 
     if style not in STYLES:
         raise ConfigError(f"--style: no '{style}'; there are: {', '.join(STYLES)}")
+    _finite(rate_hz=rate_hz, rss_dbm=rss_dbm, sigma_db=sigma_db)
     asyncio.run(run_printer(style, rate_hz, rss_dbm, sigma_db, seed))
 
 

@@ -5,9 +5,12 @@ Both run at the clock's rate: under a clock scaled by 10, `sleep(1.0)` takes a t
 """
 
 import asyncio
+import math
 import time
 from dataclasses import dataclass, field
 from typing import Protocol
+
+from fieldkit.errors import ConfigError
 
 
 class Clock(Protocol):
@@ -58,6 +61,10 @@ class ScaledClock:
     """Mission time at the anchor, UTC."""
     anchor_ns: int = field(default_factory=time.monotonic_ns)
     """Monotonic wall time at the anchor; the same for all processes of one machine."""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.rate) and self.rate > 0.0):
+            raise ConfigError(f"rate: expected mission seconds per wall second, above 0, got {self.rate}")
 
     def now_ns(self) -> int:
         return self.start_ns + round((time.monotonic_ns() - self.anchor_ns) * self.rate)
