@@ -10,7 +10,7 @@ import pytest
 from fieldkit import jumploop
 from fieldkit.checks import Check, Level
 from fieldkit.errors import RecordingError
-from fieldkit.messages import GoTo, Operator, ReceiverState
+from fieldkit.messages import GoTo, Hold, Operator, ReceiverState
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.bodies import Rover
@@ -128,8 +128,19 @@ def test_a_robot_that_is_silent_at_the_resume_keeps_none_of_the_others_from_goin
     scene.fleet.silent.add("r4")
     runner, _ = scene.resumed(left)
     after = list(open_recording(tmp_path / "second.mcap").commands())[count:]
-    sent = {c.robot for *_, origin, c in after if isinstance(c, GoTo) and origin == "safety"}
-    assert {"r1", "r2"} <= sent and "r4" not in sent  # r3 stands beside r4, which may be anywhere by now
+    asked, sent = (
+        {c.robot for *_, origin, c in after if isinstance(c, GoTo) and origin == who}
+        for who in ("kernel", "safety")
+    )
+    assert asked == {"r1", "r2", "r3"} and sent, "they are planned for, and go where that is safe"
+    # r4 may be anywhere by now: what is refused the others is refused for where their paths lead, and nothing else.
+    resumed_ns = min(t_ns for _, t_ns, _, c in after if isinstance(c, GoTo))
+    refused = {
+        c.reason
+        for _, t_ns, _, c in after
+        if isinstance(c, Hold) and c.robot != "r4" and t_ns > resumed_ns and "mission is over" not in c.reason
+    }
+    assert all(reason.startswith("its path comes within") for reason in refused), refused
     assert runner.safety.robots["r4"].ordered == "withdraw"
     assert replay(tmp_path / "second.mcap").complete
 
