@@ -8,7 +8,7 @@ import numpy as np
 from fieldkit.engine.belief.intensity.candidate import Candidate
 
 if TYPE_CHECKING:
-    from fieldkit.engine.belief.intensity.mixture import Mixture
+    from fieldkit.engine.belief.intensity.mixture import Mixture, OpenDetection
 
 MOST_STILLBORN = 20
 
@@ -126,3 +126,19 @@ def refine(mixture: "Mixture", candidate: Candidate) -> None:
         log = mixture.log_likelihood(candidate, number)
         candidate.know(number, log)
         candidate.evidence += share * log
+
+
+def claim_by_name(mixture: "Mixture", number: int, stored: "OpenDetection", name: str) -> None:
+    """A detection that names its sender belongs to that sender, who may be new, for certain."""
+    sender = next((each for each in mixture.candidates if each.name == name), None)
+    if sender is None:
+        row0, row1, column0, column1 = stored.box
+        sender = new_candidate(mixture, (column0, column1), (row0, row1), spacing=1.0)
+        sender.name = name
+        mixture.candidates.append(sender)
+    sender.know(number, mixture.log_likelihood(sender, number))
+    sender.set_share(number, 1.0)
+    mixture.unclaimed[number] = 0.0
+    mixture.explained[number] = 50.0  # nobody else needs to explain it
+    mixture.named.add(number)
+    mixture.forget_summary(sender)

@@ -6,35 +6,30 @@ detections better than those there are; two become one where one explains better
 supports any more is dropped. `hypotheses` re-tells the history of a candidate that may be stuck.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldkit.channel.antenna_file import Receiver
 from fieldkit.engine.belief.intensity import hypotheses as hypotheses
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
-from fieldkit.engine.belief.intensity.births import birth, new_candidate, refine, remember_births
+from fieldkit.engine.belief.intensity.births import birth, claim_by_name, refine, remember_births
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, summarise
+from fieldkit.engine.belief.intensity.folding import fold
 from fieldkit.engine.belief.intensity.ground import ground_of
 from fieldkit.engine.belief.intensity.merging import merge
+from fieldkit.engine.belief.intensity.nuisance import learnt_clutter, shared_sigma_m
 from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
 from fieldkit.engine.belief.intensity.silence import note_heard
-from fieldkit.engine.belief.intensity.watch import Watch
+from fieldkit.engine.belief.intensity.watch import Watch, watch_receivers, without_deaf
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears import Ears
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
 from fieldkit.engine.likelihood.levels import LevelsModel
 from fieldkit.engine.likelihood.places import NOTHING_EARLIER, Earlier, PlaceNoise, levels_of, redundancy
 from fieldkit.engine.settings import EngineSettings
-from fieldkit.messages import Detection, FloatArray, Listening, part_of
-
-SHARED_NS = 120_000_000_000
-"""Positions err together for so long: twice the time in which such an error falls to 1/e."""
-WATCHED_FROM = 5.0
-"""Receptions from which on a candidate is known well enough to measure receivers by."""
+from fieldkit.messages import Detection, FloatArray, Listening
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +79,7 @@ class Mixture:
         )
         self.exposure_s = np.zeros((self.model.power_db.size, *self.grid.shape))
         """(h - 1, rows, columns of the ground): P(some robot hears) integrated over the time listened, by power."""
-        self._cell_ears = replace(self.ears, point_sigma_m=float(point_sigma_m * self.ground.factor))
+        self.cell_ears = replace(self.ears, point_sigma_m=float(point_sigma_m * self.ground.factor))
         """As the ears, for likelihoods over the ground's cells."""
         self.places = (
             PlaceNoise(self.model, settings.spread, settings.reference_rate_hz)
@@ -121,8 +116,8 @@ class Mixture:
         """What there is to say of them, until somebody has read it."""
         self.now_ns = 0
         """Up to when something was heard, or listened to."""
-        self._since_ns: int | None = None
-        self._clutter_folded = 0.0
+        self.since_ns: int | None = None
+        self.clutter_folded = 0.0
         self._next_detection = 0
         self._next_ident = 1
         self._summaries: dict[int, Summary] = {}
@@ -130,8 +125,8 @@ class Mixture:
     def listen(self, listening: Listening) -> None:
         """Add to the exposure of the ground where robots listened."""
         self.now_ns = max(self.now_ns, listening.t1_ns)
-        self._since_ns = listening.t0_ns if self._since_ns is None else min(self._since_ns, listening.t0_ns)
-        hearing = [not self._is_deaf(robot) for robot in listening.robots]
+        self.since_ns = listening.t0_ns if self.since_ns is None else min(self.since_ns, listening.t0_ns)
+        hearing = [not self.is_deaf(robot) for robot in listening.robots]
         if not any(hearing):
             return
         ears = self.ears.of_listening(listening)[hearing]
@@ -181,41 +176,13 @@ class Mixture:
             self.sweep(self.tuning.sweeps)
         self._settle()
         remember_births(self)
-        self._watch(detections)
+        watch_receivers(self, detections)
         for candidate in self.candidates:
             note_heard(self, candidate)
-        self._fold()
+        fold(self)
 
-    def _is_deaf(self, robot: str) -> bool:
+    def is_deaf(self, robot: str) -> bool:
         return robot in self.watch.of and self.watch.of[robot].deaf
-
-    def _without_deaf(self, detection: Detection) -> Detection:
-        """The detection without robots whose silence says nothing."""
-        keep = ~np.isnan(detection.rss_dbm) | np.array([not self._is_deaf(r) for r in detection.robots])
-        return detection if keep.all() else part_of(detection, keep)
-
-    def _watch(self, detections: Sequence[Detection]) -> None:
-        """Measure receivers by what has just been heard of sources that are well known."""
-        for number, detection in zip(list(self.open)[-len(detections) :], detections, strict=False):
-            for candidate in self.candidates:
-                known = candidate.receptions >= WATCHED_FROM and self.summary(candidate).p_here >= 0.5
-                if known and candidate.share.get(number, 0.0) >= 0.9:
-                    self.watch.take_in(self, self.ears.corrected(detection), candidate)
-        before = {robot: its.offset_db for robot, its in self.watch.of.items()}
-        self.said += [*self.watch.judge(self.settings.antenna.sigma_db), *self.watch.common(self)]
-        learnt = {robot: its.offset_db for robot, its in self.watch.of.items() if its.offset_db != 0.0}
-        if learnt and learnt != {robot: offset for robot, offset in before.items() if offset != 0.0}:
-            self._correct(learnt)
-
-    def _correct(self, learnt: dict[str, float]) -> None:
-        """Take what was learnt off further readings; those that are in already stay as they are."""
-        receivers = dict(self.settings.receivers)
-        for robot, offset_db in learnt.items():
-            own = receivers.get(robot, Receiver())
-            receivers[robot] = replace(own, offset_db=own.offset_db + offset_db)
-        self.ears = replace(self.ears, receivers=receivers)
-        self._cell_ears = replace(self._cell_ears, receivers=receivers)
-        self.model.ears = self.ears
 
     def reflect(self) -> bool | None:
         """Tell the hypothesis of one candidate afresh; whether another was better, None where none was due."""
@@ -228,11 +195,11 @@ class Mixture:
     def _open(self, detection: Detection) -> None:
         number = self._next_detection
         self._next_detection += 1
-        stored = self._store(self._without_deaf(self.ears.corrected(detection)))
+        stored = self._store(without_deaf(self, self.ears.corrected(detection)))
         self.open[number] = stored
         self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
         if self.settings.identity == "address" and detection.sender is not None:
-            self._claim_by_name(number, stored, detection.sender)
+            claim_by_name(self, number, stored, detection.sender)
             return
         if self.settings.identity == "address" and not self._nameless:
             self._nameless = True
@@ -243,21 +210,6 @@ class Mixture:
         for candidate in self.candidates:
             if not candidate.name and self.in_reach(candidate, stored):
                 candidate.know(number, self.log_likelihood(candidate, number))
-
-    def _claim_by_name(self, number: int, stored: OpenDetection, name: str) -> None:
-        """A detection that names its sender belongs to that sender, who may be new, for certain."""
-        sender = next((each for each in self.candidates if each.name == name), None)
-        if sender is None:
-            row0, row1, column0, column1 = stored.box
-            sender = new_candidate(self, (column0, column1), (row0, row1), spacing=1.0)
-            sender.name = name
-            self.candidates.append(sender)
-        sender.know(number, self.log_likelihood(sender, number))
-        sender.set_share(number, 1.0)
-        self.unclaimed[number] = 0.0
-        self.explained[number] = 50.0  # nobody else needs to explain it
-        self.named.add(number)
-        self._summaries.pop(sender.ident, None)
 
     def log_likelihood(self, candidate: Candidate, number: int) -> FloatArray:
         """(h, n) of an open detection over the candidate's points, given what it claims to have sent before."""
@@ -333,7 +285,7 @@ class Mixture:
         row0, row1, column0, column1 = self.grid.box_around(heard_at, self.model.reach_m)
         east, north = self.grid.east_m[column0:column1], self.grid.north_m[row0:row1]
         points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
-        log = self.model.known_log_likelihood(detection, points, self._cell_ears)
+        log = self.model.known_log_likelihood(detection, points, self.cell_ears)
         scale = float(log.max())
         like = np.exp(log - scale)
         clutter = float(np.log(self.tuning.clutter_hz) - len(heard_at) * np.log(80.0))
@@ -392,24 +344,6 @@ class Mixture:
         result: FloatArray = logs + np.array([s.log_scale for s in stored])
         return result
 
-    def _learnt_clutter(self) -> float:
-        """log of how much more clutter there is than was expected, by what neither a candidate nor the unknown claims.
-
-        Gamma with the expected rate as its mean and one detection's weight; never less than was expected.
-        """
-        claimed = dict.fromkeys(self.open, 0.0)
-        for candidate in self.candidates:
-            for number, share in candidate.share.items():
-                if number in claimed:
-                    claimed[number] += share
-        count = self._clutter_folded + math.fsum(
-            max(0.0, 1.0 - self.unclaimed[number] - share) for number, share in claimed.items()
-        )
-        prior_s = 1.0 / self.tuning.clutter_hz
-        listened_s = max(0.0, (self.now_ns - self._since_ns) * 1e-9) if self._since_ns is not None else 0.0
-        learnt_hz = (1.0 + count) / (prior_s + listened_s)
-        return max(0.0, math.log(learnt_hz / self.tuning.clutter_hz))
-
     def sweep(self, sweeps: int) -> None:
         """Shares of all open detections, from the predictions of the candidates and of the unknown.
 
@@ -417,7 +351,7 @@ class Mixture:
         """
         numbers = [number for number in self.open if number not in self.named]
         log_unknown = self._log_unknown()
-        more = self._learnt_clutter()
+        more = learnt_clutter(self)
         log_clutter = np.array([self.open[number].log_clutter + more for number in numbers])
         left = Shares(
             np.array([self.unclaimed[number] for number in numbers]),
@@ -461,35 +395,9 @@ class Mixture:
                 self.field.cell_m,
                 self.settings.find_radius_m,
                 self.ground.has_field(candidate.points_m),
-                self._shared_sigma_m(candidate),
+                shared_sigma_m(self, candidate),
             )
         return self._summaries[candidate.ident]
-
-    def _shared_sigma_m(self, candidate: Candidate) -> float:
-        """How far the positions that told of it may be off together.
-
-        Errors of satellites last about a minute: readings nearer in time share one. Readings made nearer to the source
-        tell more of its place, by the Fisher information of a distance: a few of them may be all that counts.
-        """
-        own = [
-            self.open[number]
-            for number, share in candidate.share.items()
-            if share >= self.tuning.claimed and number in self.open
-        ]
-        if not own:
-            return self.settings.pose_sigma_m
-        sigmas = [
-            float(each.detection.sigma_m.mean()) if each.detection.sigma_m.size else 0.0 for each in own
-        ]
-        sigma_m = max(self.settings.pose_sigma_m, float(np.mean(sigmas)))
-        middle = candidate.points_m[int(candidate.log_posterior().max(axis=0).argmax())]
-        told: dict[int, float] = {}
-        for each in own:
-            far2 = float(((each.near_m - middle) ** 2).sum(axis=1).min()) + sigma_m**2 + self.field.cell_m**2
-            block = each.detection.t_ns // SHARED_NS
-            told[block] = told.get(block, 0.0) + 1.0 / far2
-        weight = np.array(list(told.values()))
-        return float(sigma_m * np.sqrt((weight**2).sum()) / weight.sum())
 
     def another_source(self, rate_hz: float | None = None) -> FloatArray:
         """(known levels, n_north, n_east) expected number of sources of this rate not among the candidates.
@@ -532,26 +440,3 @@ class Mixture:
             for number, share in candidate.share.items():
                 self.unclaimed[number] = min(1.0, self.unclaimed[number] + share)
             self.remove(candidate)
-
-    def _fold(self) -> None:
-        """Close old detections beyond `max_open`: of sources that have many, so that no rare one is forgotten."""
-        while len(self.open) > self.tuning.max_open:
-            number = self._to_fold()
-            share = math.fsum(candidate.share.get(number, 0.0) for candidate in self.candidates)
-            self._clutter_folded += max(0.0, 1.0 - self.unclaimed[number] - share)
-            for candidate in self.candidates:
-                candidate.forget(number)
-            self.named.discard(number)
-            del self.open[number], self.unclaimed[number], self.explained[number]
-
-    def _to_fold(self) -> int:
-        """The oldest detection of whoever has most of the open ones, be that nobody."""
-        owner = {
-            number: max(self.candidates, key=lambda c: c.share.get(number, 0.0), default=None)
-            for number in self.open
-        }
-        of: dict[int, list[int]] = {}
-        for number, candidate in owner.items():
-            claimed = candidate is not None and candidate.share.get(number, 0.0) >= self.tuning.claimed
-            of.setdefault(candidate.ident if claimed and candidate is not None else 0, []).append(number)
-        return max(of.values(), key=len)[0]

@@ -6,16 +6,18 @@ can hardly be chance; from then on its readings are corrected, or its silence is
 power levels allow is the sources' or the antenna file's, and is said once.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtr
 from scipy.stats import binom
 
+from fieldkit.channel.antenna_file import Receiver
 from fieldkit.engine.belief.intensity.candidate import Candidate
 from fieldkit.engine.likelihood.ears_loops import THRESHOLD
-from fieldkit.messages import Detection
+from fieldkit.messages import Detection, part_of
 
 if TYPE_CHECKING:
     from fieldkit.engine.belief.intensity.mixture import Mixture
@@ -31,6 +33,10 @@ DEAF_BELOW = 1e-4
 """Probability of hearing so few by chance."""
 SURE = 0.8
 """Only packets that were to be heard so probably are looked at: weak ones are heard when they read strong."""
+
+
+WATCHED_FROM = 5.0
+"""Receptions from which on a candidate is known well enough to measure receivers by."""
 
 
 @dataclass
@@ -141,3 +147,34 @@ class Watch:
             f"the sources read {float(np.median(beyond)):+.0f} dB beyond the power levels in the mission file: the "
             "antenna file may be of other radios; the power is taken for unknown as far as that"
         ]
+
+
+def without_deaf(mixture: "Mixture", detection: Detection) -> Detection:
+    """The detection without robots whose silence says nothing."""
+    keep = ~np.isnan(detection.rss_dbm) | np.array([not mixture.is_deaf(r) for r in detection.robots])
+    return detection if keep.all() else part_of(detection, keep)
+
+
+def watch_receivers(mixture: "Mixture", detections: Sequence[Detection]) -> None:
+    """Measure receivers by what has just been heard of sources that are well known."""
+    for number, detection in zip(list(mixture.open)[-len(detections) :], detections, strict=False):
+        for candidate in mixture.candidates:
+            known = candidate.receptions >= WATCHED_FROM and mixture.summary(candidate).p_here >= 0.5
+            if known and candidate.share.get(number, 0.0) >= 0.9:
+                mixture.watch.take_in(mixture, mixture.ears.corrected(detection), candidate)
+    before = {robot: its.offset_db for robot, its in mixture.watch.of.items()}
+    mixture.said += [*mixture.watch.judge(mixture.settings.antenna.sigma_db), *mixture.watch.common(mixture)]
+    learnt = {robot: its.offset_db for robot, its in mixture.watch.of.items() if its.offset_db != 0.0}
+    if learnt and learnt != {robot: offset for robot, offset in before.items() if offset != 0.0}:
+        _correct(mixture, learnt)
+
+
+def _correct(mixture: "Mixture", learnt: dict[str, float]) -> None:
+    """Take what was learnt off further readings; those that are in already stay as they are."""
+    receivers = dict(mixture.settings.receivers)
+    for robot, offset_db in learnt.items():
+        own = receivers.get(robot, Receiver())
+        receivers[robot] = replace(own, offset_db=own.offset_db + offset_db)
+    mixture.ears = replace(mixture.ears, receivers=receivers)
+    mixture.cell_ears = replace(mixture.cell_ears, receivers=receivers)
+    mixture.model.ears = mixture.ears
