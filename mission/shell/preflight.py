@@ -31,6 +31,8 @@ NEAR_FIELD_M = 200.0
 """A robot further from the field than this is at another one."""
 OUTSIDE_M = 1.0
 """A robot further outside the fence than its position may be off: either stands in the wrong place."""
+COARSE = 0.5
+"""Positions less certain than this share of what a find is asked for make finds slow or impossible."""
 OLD_CALIBRATION_S = 90 * 86_400.0
 DISK_RED_BYTES, DISK_AMBER_BYTES = 500_000_000, 5_000_000_000
 CPU_AMBER_SHARE = 0.7
@@ -179,6 +181,14 @@ def judge_calibration(mission: Mission, now_ns: int) -> list[Check]:
     if spread is not None and spread.assumed:
         remedy = "calibrate with positions of both radios at 20 places or more"
         checks.append(Check(MISSION, "place noise", "amber", spread.assumed, remedy))
+    engine = mission.kernel.engine
+    asked_m = engine.find_radius_m or engine.grid.cell_m
+    if engine.pose_sigma_m > COARSE * asked_m:
+        found = f"known to {engine.pose_sigma_m:g} m, and a find is asked for within {asked_m:.2g} m"
+        remedy = (
+            "ask for less (engine.found_within_m), or take better positions: finds will take long or fail"
+        )
+        checks.append(Check(MISSION, "positions", "amber", found, remedy))
     file = Path(mission.where).parent / mission.file.antenna.file
     if file.exists():
         age_s = now_ns * 1e-9 - file.stat().st_mtime

@@ -107,6 +107,15 @@ def test_an_old_or_doubtful_calibration_is_amber(tmp_path: Path) -> None:
     assert worst(judge_calibration(inconsistent, now_ns)) == "amber"
 
 
+def test_positions_too_coarse_for_what_is_asked_are_amber(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path, engine={"found_within_m": 0.5})
+    assert not [check for check in judge_calibration(mission, 0) if check.name == "positions"]
+    coarse = replace(mission.kernel.engine, pose_sigma_m=2.0)
+    unsure = replace(mission, kernel=replace(mission.kernel, engine=coarse))
+    (said,) = [check for check in judge_calibration(unsure, 0) if check.name == "positions"]
+    assert said.level == "amber" and "known to 2 m, and a find is asked for within 0.5 m" in said.found
+
+
 def test_a_missing_radio_is_red_and_the_rest_is_checked_all_the_same(tmp_path: Path) -> None:
     class Missing(FakeReceiver):
         async def __aenter__(self):  # type: ignore[no-untyped-def]
