@@ -109,6 +109,11 @@ class Ears:
         more = np.array([self.receivers.get(robot, Receiver()).offset_db for robot in detection.robots])
         return replace(detection, rss_dbm=detection.rss_dbm - more) if more.any() else detection
 
+    def uncorrected(self, detection: Detection) -> Detection:
+        """A corrected detection as the receivers reported it."""
+        more = np.array([self.receivers.get(robot, Receiver()).offset_db for robot in detection.robots])
+        return replace(detection, rss_dbm=detection.rss_dbm + more) if more.any() else detection
+
     def attenuation_db(self, points_m: FloatArray, ears: FloatArray) -> FloatArray:
         """(n, m) from points (n, 2) to ears (m, `COLUMNS`): the plain form of `ears_loops.faintness`."""
         way = points_m[:, None, :] - ears[None, :, EAST : NORTH + 1]

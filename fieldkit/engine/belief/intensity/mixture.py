@@ -195,7 +195,7 @@ class Mixture:
     def _open(self, detection: Detection) -> None:
         number = self._next_detection
         self._next_detection += 1
-        stored = self._store(without_deaf(self, self.ears.corrected(detection)))
+        stored = self.store(without_deaf(self, self.ears.corrected(detection)))
         self.open[number] = stored
         self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
         if self.settings.identity == "address" and detection.sender is not None:
@@ -280,7 +280,7 @@ class Mixture:
             self.sweep(1)
         self._bury()
 
-    def _store(self, detection: Detection) -> OpenDetection:
+    def store(self, detection: Detection) -> OpenDetection:
         heard_at = detection.position_m[detection.heard]
         row0, row1, column0, column1 = self.grid.box_around(heard_at, self.model.reach_m)
         east, north = self.grid.east_m[column0:column1], self.grid.north_m[row0:row1]

@@ -170,7 +170,8 @@ def watch_receivers(mixture: "Mixture", detections: Sequence[Detection]) -> None
 
 
 def _correct(mixture: "Mixture", learnt: dict[str, float]) -> None:
-    """Take what was learnt off further readings; those that are in already stay as they are."""
+    """Take what was learnt off further readings, and off those that are in and not folded yet."""
+    before = mixture.ears
     receivers = dict(mixture.settings.receivers)
     for robot, offset_db in learnt.items():
         own = receivers.get(robot, Receiver())
@@ -178,3 +179,13 @@ def _correct(mixture: "Mixture", learnt: dict[str, float]) -> None:
     mixture.ears = replace(mixture.ears, receivers=receivers)
     mixture.cell_ears = replace(mixture.cell_ears, receivers=receivers)
     mixture.model.ears = mixture.ears
+    for number, stored in mixture.open.items():
+        raw = before.uncorrected(stored.detection)
+        mixture.open[number] = mixture.store(mixture.ears.corrected(raw))
+    for candidate in mixture.candidates:
+        for number in candidate.logs:
+            share, old = candidate.share[number], candidate.logs[number].array
+            candidate.know(number, mixture.log_likelihood(candidate, number))
+            candidate.evidence += share * (candidate.logs[number].array - old)
+        mixture.forget_summary(candidate)
+        mixture.revise_at[candidate.ident] = 0.0  # ground that wrong readings ruled out is to be had back
