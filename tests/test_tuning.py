@@ -34,7 +34,9 @@ def test_the_manual_lists_every_number_as_it_is() -> None:
         default = each.default
         shown = ", ".join(f"{one:g}" for one in default) if isinstance(default, tuple) else f"{default:g}"
         unit, meaning = each.metadata["quantity"].unit, each.metadata["quantity"].meaning
-        assert f"| `{table}.{each.name}` | {shown} | {unit} | {meaning} | {each.metadata['source']} |" in page
+        assert (
+            f"| `{table}.{each.name}` | {shown} | {unit} | {meaning} | {each.metadata['source']} |" in page
+        ), "python docs/tuning_page.py"
 
 
 def test_tables_come_back_as_they_were_written() -> None:

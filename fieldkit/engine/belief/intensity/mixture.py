@@ -89,6 +89,10 @@ class Mixture:
         """What readings and silence of one place have in common; None where nothing."""
         self.rate_prior_s = self.tuning.rate_shape / settings.reference_rate_hz
         """b of the Gamma prior of a source's rate."""
+        self._believe_nothing()
+
+    def _believe_nothing(self) -> None:
+        """Nothing was heard yet."""
         self.candidates: list[Candidate] = []
         self.open: dict[int, OpenDetection] = {}
         self.unclaimed: dict[int, float] = {}
