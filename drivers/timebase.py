@@ -53,3 +53,25 @@ class TimeBase:
         """Forget: the device has restarted."""
         self._buckets.clear()
         self._late = 0
+
+
+class DeviceStamps:
+    """Mission time of what one device stamps: never back, never after its arrival, whatever its clock does."""
+
+    def __init__(self) -> None:
+        self._time = TimeBase()
+        self._last_ns: tuple[int, int] | None = None
+        self._stamp_ns = 0
+
+    def of(self, device_ns: int | None, arrival_ns: int) -> int:
+        """Of a message stamped `device_ns` by its device; its arrival where the device stamps nothing."""
+        if device_ns is None:
+            self._stamp_ns = max(arrival_ns, self._stamp_ns)
+            return self._stamp_ns
+        if self._last_ns is not None:
+            apart_ns = (device_ns - self._last_ns[0]) - (arrival_ns - self._last_ns[1])
+            if abs(apart_ns) > CLOCK_JUMP_NS:
+                self._time.clear()
+        self._last_ns = (device_ns, arrival_ns)
+        self._stamp_ns = max(min(self._time.heard(device_ns, arrival_ns), arrival_ns), self._stamp_ns)
+        return self._stamp_ns

@@ -19,7 +19,7 @@ from drivers.gnss.nmea import NmeaReader
 from drivers.lines.sources import open_source
 from drivers.links import ByteLink, arrival_ns
 from drivers.options import checked
-from drivers.timebase import CLOCK_JUMP_NS, TimeBase
+from drivers.timebase import DeviceStamps
 from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.messages import Pose
 from fieldkit.ports import DriverContext
@@ -176,10 +176,8 @@ class _Followed:
             GpsdReader(f"/{device}" if device else "") if is_gpsd else NmeaReader()
         )
         self._judge = FixJudge(options.max_speed_m_s, options.worst_sigma_m)
-        self._time = TimeBase()
+        self._stamps = DeviceStamps()
         self._heading_deg = 0.0
-        self._stamp_ns = 0
-        self._last_ns: tuple[int, int] | None = None
 
     def read(self, link: ByteLink) -> None:
         """Raises `OSError` and what pyserial raises when the link is gone."""
@@ -207,21 +205,8 @@ class _Followed:
         east_m, north_m, up_m = self._around.frame.to_local(fix.lat_deg, fix.lon_deg, fix.alt_m)
         if not math.isfinite(east_m + north_m + up_m):
             return
-        stamp_ns = self._mission_time(fix.time_s, t_ns)
+        # By the satellites' time: what a slow link has held back still has its own moment.
+        stamp_ns = self._stamps.of(None if fix.time_s is None else round(fix.time_s * 1e9), t_ns)
         self._source.put(
             Pose(stamp_ns, self._robot, east_m, north_m, up_m, self._heading_deg, fix.sigma_m or 0.0, "gnss")
         )
-
-    def _mission_time(self, time_s: float | None, t_ns: int) -> int:
-        """The satellites' time in mission time: what a slow link has held back still has its own moment."""
-        if time_s is None:
-            self._stamp_ns = max(t_ns, self._stamp_ns)
-            return self._stamp_ns
-        own_ns = round(time_s * 1e9)
-        if self._last_ns is not None:
-            apart_ns = (own_ns - self._last_ns[0]) - (t_ns - self._last_ns[1])
-            if abs(apart_ns) > CLOCK_JUMP_NS:
-                self._time.clear()
-        self._last_ns = (own_ns, t_ns)
-        self._stamp_ns = max(min(self._time.heard(own_ns, t_ns), t_ns), self._stamp_ns)
-        return self._stamp_ns

@@ -17,7 +17,7 @@ from drivers.lines.sources import open_source
 from drivers.links import ByteLink, arrival_ns
 from drivers.options import checked
 from drivers.reconnecting import ReconnectingReceiver
-from drivers.timebase import CLOCK_JUMP_NS, TimeBase
+from drivers.timebase import DeviceStamps
 from fieldkit.errors import ConfigError
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
@@ -25,6 +25,8 @@ from fieldkit.ports import DriverContext
 LONGEST_LINE = 65_536
 SENSELESS = 5
 """So many lines in a row that are no readings, and the receiver counts as down until one is."""
+MOST_S = 1e12
+"""A stamp further from 1970 is none."""
 SHOWN = 80
 """Of a line that makes no sense so much is shown."""
 
@@ -127,9 +129,7 @@ class LinesReceiver(ReconnectingReceiver):
         start = options.from_start and first
         self._link = open_source(options.port, options.baud, self._name, from_start=start, tap=self._tap)
         self._running.set()
-        self._split, self._time = LineSplitter(), TimeBase()
-        self._last_ns: tuple[int, int] | None = None
-        self._stamp_ns = 0
+        self._split, self._stamps = LineSplitter(), DeviceStamps()
         self._senseless, self._down = 0, False
         self._thread = threading.Thread(target=self._read, args=(self._link,), name=self._name, daemon=True)
         return f"lines from {options.port} as {options.map or self._map.format}"
@@ -220,17 +220,8 @@ class LinesReceiver(ReconnectingReceiver):
 
     def _mission_time(self, by_radio_s: float | None, t_ns: int) -> int:
         """The radio's own stamp in mission time, however far its clock is off; the arrival where it gives none."""
-        if by_radio_s is None or abs(by_radio_s) > 1e12:
-            self._stamp_ns = max(t_ns, self._stamp_ns)
-            return self._stamp_ns
-        radio_ns = round(by_radio_s * 1e9)
-        if self._last_ns is not None:
-            apart_ns = (radio_ns - self._last_ns[0]) - (t_ns - self._last_ns[1])
-            if abs(apart_ns) > CLOCK_JUMP_NS:
-                self._time.clear()
-        self._last_ns = (radio_ns, t_ns)
-        self._stamp_ns = max(min(self._time.heard(radio_ns, t_ns), t_ns), self._stamp_ns)
-        return self._stamp_ns
+        stamped = by_radio_s is not None and abs(by_radio_s) <= MOST_S
+        return self._stamps.of(round(by_radio_s * 1e9) if stamped and by_radio_s is not None else None, t_ns)
 
 
 def watch(port: str, baud: int, seconds: float) -> list[str]:

@@ -17,7 +17,7 @@ from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.nrf import NrfText
 from drivers.sniffers.protocol import CHANNELS, Captured, SnifferProtocol
 from drivers.sniffers.ti import TiBinary
-from drivers.timebase import CLOCK_JUMP_NS, TimeBase
+from drivers.timebase import DeviceStamps
 from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
@@ -105,8 +105,7 @@ class SnifferReceiver(ReconnectingReceiver):
         if not first and self._usb is not None:
             self._port = port_of(self._usb) or self._options.port
         link = open_link(self._port, self._options.baud, self._name, self._tap)
-        self._protocol, self._time = self._make_protocol(), TimeBase()
-        self._last_ns: tuple[int, int] | None = None
+        self._protocol, self._stamps = self._make_protocol(), DeviceStamps()
         self._turn, self._channel = 0, self._order[0]
         try:
             self._send(link, self._protocol.start(self._order[0]))
@@ -220,7 +219,8 @@ class SnifferReceiver(ReconnectingReceiver):
         ceiling = self._options.saturation_dbm
         self._give(
             RssReading(
-                t_ns=self._mission_time(captured.device_us * 1000, t_ns),
+                # USB delivers in bursts; the dongle stamps each frame.
+                t_ns=self._stamps.of(captured.device_us * 1000, t_ns),
                 robot=self.robot,
                 rss_dbm=captured.rss_dbm,
                 via="sniffer",
@@ -230,13 +230,3 @@ class SnifferReceiver(ReconnectingReceiver):
                 saturated=ceiling is not None and captured.rss_dbm >= ceiling,
             )
         )
-
-    def _mission_time(self, device_ns: int, t_ns: int) -> int:
-        """The dongle's own stamp in mission time; USB delivers in bursts, the dongle stamps each frame."""
-        if self._last_ns is not None:
-            apart_ns = (device_ns - self._last_ns[0]) - (t_ns - self._last_ns[1])
-            if abs(apart_ns) > CLOCK_JUMP_NS:
-                self._time.clear()
-        self._last_ns = (device_ns, t_ns)
-        self._stamp_ns = max(self._time.heard(device_ns, t_ns), getattr(self, "_stamp_ns", 0))
-        return self._stamp_ns
