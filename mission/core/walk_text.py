@@ -64,8 +64,8 @@ def walk_text(options: WalkOptions) -> str:
             "safety": {
                 "fence_margin_m": 0.0,
                 "max_speed_m_s": 1.5,
-                "pose_timeout_s": max(10.0, 5.0 * o.rate),
-                "overrun_s": max(5.0, 3.0 * o.rate),
+                "pose_timeout_s": min(60.0, max(10.0, 5.0 * o.rate)),
+                "overrun_s": min(60.0, max(5.0, 3.0 * o.rate)),
                 "stall_s": 600.0,
                 "min_separation_m": 0.5,
             },

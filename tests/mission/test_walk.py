@@ -146,6 +146,14 @@ def test_the_file_of_a_walk_is_a_mission_with_a_person() -> None:
     assert mission.kernel.max_pose_gap_s >= 2.0, "a satellite receiver gives one position a second"
 
 
+@pytest.mark.parametrize("rate", [1.0, 20.0, 40.0])
+def test_a_walk_on_a_fast_clock_stays_within_the_limits_of_a_mission(rate: float) -> None:
+    options = WalkOptions(
+        {"driver": "lines", "port": "-", "map": "rylr"}, "/dev/x", "a.toml", (47.0, 8.0), rate=rate
+    )
+    assert parse_mission(walk_text(options), "walk").safety.overrun_s >= min(60.0, 3.0 * rate)
+
+
 def test_lanes_cover_the_field() -> None:
     corners = np.array(_lanes())
     assert corners.min() >= 0.0 and corners.max() <= 300.0
