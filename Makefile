@@ -4,10 +4,10 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 SEED   ?= 7
 BENCH  ?= all
-# Per cent of lines and branches that the tests must reach: of all (measured with less than half of the tests: raise it to
-# what "make test" prints), and of what decides in a mission.
-FLOOR      ?= 52
-CORE_FLOOR ?= 95
+# Per cent of lines and branches that the tests must reach: of all, and of what decides in a mission (89 and 98 when last
+# measured whole; a little is left for machines without a browser).
+FLOOR      ?= 86
+CORE_FLOOR ?= 96
 
 .PHONY: demo test bench lint docs wheel env clean
 

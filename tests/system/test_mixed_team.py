@@ -29,7 +29,7 @@ def test_two_rovers_and_two_copters_find_what_is_hidden_on_emulated_wires(tmp_pa
         {"state": source.state, "east_m": source.east_m, "north_m": source.north_m}
         for source in runner.kernel.sources()
     ]
-    judge(runner.result() | {"sources": finds}, recording, "two rovers and two copters, emulated", 6.0)
+    judge(runner.result() | {"sources": finds}, recording, "two rovers and two copters, emulated")
     heights = [
         step.event.up_m
         for step in recording.steps()
