@@ -3,12 +3,14 @@
 import json
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
+from fieldkit.coordinates import coordinates
 from fieldkit.extras import need
 from fieldkit.geo import FieldFrame
 from fieldkit.settings import ELLIPSE_90
@@ -22,7 +24,7 @@ _GPX = "http://www.topografix.com/GPX/1/1"
 def geojson(frame: FieldFrame, tables: Tables, name: str) -> str:
     """One feature a track, reading, detection, source (with its 90 % ellipse) and likely cell."""
     features = [
-        {"type": "Feature", "geometry": shape, "properties": _plain(properties)}
+        {"type": "Feature", "geometry": shape, "properties": plain(properties)}
         for shape, properties in _features(frame, tables)
     ]
     whole = {"type": "FeatureCollection", "name": name, "features": features}
@@ -38,7 +40,7 @@ def kml(frame: FieldFrame, tables: Tables, name: str) -> str:
         kind = str(properties["kind"])
         if kind not in folders:
             folders[kind] = document.newfolder(name=kind)
-        said = "\n".join(f"{key}: {value}" for key, value in _plain(properties).items() if value is not None)
+        said = "\n".join(f"{key}: {value}" for key, value in plain(properties).items() if value is not None)
         title = str(properties.get("name", ""))
         match shape["type"]:
             case "Point":
@@ -50,7 +52,7 @@ def kml(frame: FieldFrame, tables: Tables, name: str) -> str:
                 drawn = folders[kind].newpolygon(name=title, outerboundaryis=ring, description=said)
                 drawn.style.polystyle.color = "500000ff"
         if "t_ns" in properties:
-            drawn.timestamp.when = _iso(int(properties["t_ns"]))
+            drawn.timestamp.when = iso(int(properties["t_ns"]))
     return str(document.kml())
 
 
@@ -68,7 +70,7 @@ def gpx(frame: FieldFrame, tables: Tables, name: str) -> str:
         ElementTree.SubElement(element, f"{{{_GPX}}}name").text = robot
         segment = ElementTree.SubElement(element, f"{{{_GPX}}}trkseg")
         for row in track:
-            where = _lon_lat(frame, float(row["east_m"]), float(row["north_m"]))
+            where = lon_lat(frame, float(row["east_m"]), float(row["north_m"]))
             _gpx_point(segment, "trkpt", where, int(row["t_ns"]))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
@@ -78,7 +80,7 @@ def _gpx_point(parent: Any, tag: str, lon_lat: Any, t_ns: Any) -> Any:
     lon, lat = lon_lat
     point = ElementTree.SubElement(parent, f"{{{_GPX}}}{tag}", lat=f"{lat:.8f}", lon=f"{lon:.8f}")
     if t_ns is not None:
-        ElementTree.SubElement(point, f"{{{_GPX}}}time").text = _iso(int(t_ns))
+        ElementTree.SubElement(point, f"{{{_GPX}}}time").text = iso(int(t_ns))
     return point
 
 
@@ -88,8 +90,8 @@ Shape = tuple[dict[str, Any], dict[str, Any]]
 def _features(frame: FieldFrame, tables: Tables) -> Iterator[Shape]:
     """(geometry, properties) of everything that has a place."""
     for robot, track in _by_robot(tables.get("poses")):
-        line = [_lon_lat(frame, float(row["east_m"]), float(row["north_m"])) for row in track]
-        times = [_iso(int(t)) for t in track["t_ns"]]
+        line = [lon_lat(frame, float(row["east_m"]), float(row["north_m"])) for row in track]
+        times = [iso(int(t)) for t in track["t_ns"]]
         # A line needs two points.
         shape = {"type": "LineString", "coordinates": line if len(line) > 1 else line * 2}
         yield shape, {"kind": "track", "name": robot, "coordTimes": times if len(line) > 1 else times * 2}
@@ -105,7 +107,7 @@ def _points(frame: FieldFrame, rows: np.ndarray | None, kind: str) -> Iterator[S
         return
     for row in rows:
         if math.isfinite(row["east_m"]) and math.isfinite(row["north_m"]):
-            where = _lon_lat(frame, float(row["east_m"]), float(row["north_m"]))
+            where = lon_lat(frame, float(row["east_m"]), float(row["north_m"]))
             properties = {name: row[name].item() for name in rows.dtype.names or ()}
             yield (
                 {"type": "Point", "coordinates": where},
@@ -122,24 +124,28 @@ def _sources(frame: FieldFrame, rows: np.ndarray | None) -> Iterator[Shape]:
         if not (math.isfinite(east) and math.isfinite(north)):
             continue
         properties = {name: row[name].item() for name in rows.dtype.names or ()}
+        properties |= spoken(frame, east, north)
         title = f"source {row['ident']} ({row['state']})"
         yield (
-            {"type": "Point", "coordinates": _lon_lat(frame, east, north)},
+            {"type": "Point", "coordinates": lon_lat(frame, east, north)},
             {"kind": "source", "name": title, **properties},
         )
         cov = np.array([[row["cov_ee_m2"], row["cov_en_m2"]], [row["cov_en_m2"], row["cov_nn_m2"]]])
         if np.all(np.isfinite(cov)):
-            variances, axes = np.linalg.eigh(cov)
-            turn = np.linspace(0.0, 2.0 * math.pi, 37)
-            circle = (
-                np.stack([np.cos(turn), np.sin(turn)])
-                * ELLIPSE_90
-                * np.sqrt(np.maximum(variances, 1e-6))[:, None]
-            )
-            ring = [_lon_lat(frame, east + de, north + dn) for de, dn in (axes @ circle).T]
-            ring[-1] = ring[0]
+            ring = region_90(frame, east, north, cov)
             about = {"kind": "source region", "name": f"{title}, 90 %", "ident": int(row["ident"])}
             yield {"type": "Polygon", "coordinates": [ring]}, about
+
+
+def region_90(frame: FieldFrame, east_m: float, north_m: float, cov_m2: np.ndarray) -> list[list[float]]:
+    """The ellipse that holds 90 % of a plane normal, as a closed ring of longitudes and latitudes."""
+    variances, axes = np.linalg.eigh(cov_m2)
+    turn = np.linspace(0.0, 2.0 * math.pi, 37)
+    half_axes_m = ELLIPSE_90 * np.sqrt(np.maximum(variances, 1e-6))
+    circle = np.stack([np.cos(turn), np.sin(turn)]) * half_axes_m[:, None]
+    ring = [lon_lat(frame, east_m + de, north_m + dn) for de, dn in (axes @ circle).T]
+    ring[-1] = ring[0]
+    return ring
 
 
 def _cells(frame: FieldFrame, rows: np.ndarray | None) -> Iterator[Shape]:
@@ -153,7 +159,7 @@ def _cells(frame: FieldFrame, rows: np.ndarray | None) -> Iterator[Shape]:
     for row in last[order[: int(np.searchsorted(share, MASS)) + 1]]:
         east, north = float(row["east_m"]), float(row["north_m"])
         corners = ((-step, -step), (step, -step), (step, step), (-step, step), (-step, -step))
-        ring = [_lon_lat(frame, east + de, north + dn) for de, dn in corners]
+        ring = [lon_lat(frame, east + de, north + dn) for de, dn in corners]
         about = {"kind": "belief", "name": f"{row['p']:.3g}", "p": float(row["p"]), "t_ns": int(row["t_ns"])}
         yield {"type": "Polygon", "coordinates": [ring]}, about
 
@@ -166,17 +172,24 @@ def _by_robot(poses: np.ndarray | None) -> Iterator[tuple[str, np.ndarray]]:
         yield str(robot), track[np.argsort(track["t_ns"], kind="stable")]
 
 
-def _lon_lat(frame: FieldFrame, east_m: float, north_m: float) -> list[float]:
+def lon_lat(frame: FieldFrame, east_m: float, north_m: float) -> list[float]:
+    """A place as GeoJSON writes it."""
     lat, lon, _ = frame.to_geodetic(east_m, north_m)
     return [round(lon, 9), round(lat, 9)]
 
 
-def _plain(properties: dict[str, Any]) -> dict[str, Any]:
+def spoken(frame: FieldFrame, east_m: float, north_m: float) -> dict[str, str]:
+    """A place in the words of other maps."""
+    lat_deg, lon_deg, _ = frame.to_geodetic(east_m, north_m)
+    return asdict(coordinates(lat_deg, lon_deg))
+
+
+def plain(properties: dict[str, Any]) -> dict[str, Any]:
     """Without numbers JSON has no word for."""
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in properties.items()}
 
 
-def _iso(t_ns: int) -> str:
+def iso(t_ns: int) -> str:
     """UTC to the millisecond, as GPX, KML and GeoJSON's users write it."""
     seconds, rest = divmod(t_ns, 1_000_000_000)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest // 1_000_000:03d}Z"

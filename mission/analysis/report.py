@@ -7,6 +7,7 @@ import jinja2
 import numpy as np
 
 from fieldkit import __version__
+from fieldkit.coordinates import coordinates
 from fieldkit.files import write_whole
 from fieldkit.messages import SourceEstimate
 from mission.analysis import words
@@ -156,6 +157,7 @@ def _row(history: History, source: SourceEstimate, refined: Refined | None) -> d
         "sigma_m": float(np.sqrt(np.trace(source.cov_m2) / 2)),
         "lat_deg": lat,
         "lon_deg": lon,
+        "words": coordinates(lat, lon),
         "error_m": _off(history, source.east_m, source.north_m),
         "refined": refined,
         "receptions": _receptions(history, refined),
@@ -168,6 +170,7 @@ def _row(history: History, source: SourceEstimate, refined: Refined | None) -> d
         row |= {
             "refined_lat_deg": lat,
             "refined_lon_deg": lon,
+            "refined_words": coordinates(lat, lon),
             "refined_error_m": _off(history, refined.east_m, refined.north_m),
         }
     return row

@@ -4,6 +4,9 @@ import numpy as np
 
 from mission.core.mission_file import Mission
 
+SATELLITE_GAP_S = 1.5
+"""Most satellite receivers tell their position once a second, now and then a little late."""
+
 
 def advise(mission: Mission) -> list[str]:
     """Plain sentences, most important first; empty when there is nothing to say."""
@@ -28,6 +31,12 @@ def advise(mission: Mission) -> list[str]:
     if lone:
         notes.append(
             f"{', '.join(lone)} moves alone: a pair learns more of an unknown power than two single robots"
+        )
+    by_satellite = [table for table in mission.file.positions if table.driver == "gnss"]
+    if by_satellite and mission.kernel.max_pose_gap_s < SATELLITE_GAP_S:
+        notes.append(
+            f"association.max_pose_gap_s of {mission.kernel.max_pose_gap_s:g} s bridges no gap between positions of "
+            "a satellite receiver, which come once a second: what is not heard would count for little; set it to 5"
         )
     if mission.kernel.association_window_s * engine.reference_rate_hz * engine.expected_sources > 0.1:
         notes.append(

@@ -46,7 +46,7 @@ class PastShow:
         last = view.frame()  # what came with the last tick, and after it
         self._frames.append((last["t_s"], json.dumps(last)))
         self._grids += [(last["t_s"], each["name"], json.dumps(each)) for each in view.grids()]
-        self._view = view
+        self.view = view
         self._hello = json.dumps(view.hello() | {"live": False, "duration_s": self.duration_s})
         self._players: dict[Mailbox, asyncio.Task[None]] = {}
         self._at_s: dict[Mailbox, float] = {}
@@ -86,7 +86,7 @@ class PastShow:
         """Everything anew, as it was then."""
         t_s = min(max(t_s, 0.0), self.duration_s)
         self._at_s[mailbox] = t_s
-        view = self._view
+        view = self.view
         history = {
             "kind": "history",
             "tracks": {name: _until(track, t_s, 0, TRACK_POINTS) for name, track in view.tracks.items()},
@@ -111,11 +111,11 @@ class PastShow:
         passed = [text for at_s, text in self._frames if before_s < at_s <= t_s]
         if passed:
             mailbox.put("frame", passed[-1])
-        for name, rows in (("detection", self._view.detections), ("note", self._view.notes)):
+        for name, rows in (("detection", self.view.detections), ("note", self.view.notes)):
             for row in rows:
                 if before_s < row["t_s"] <= t_s:
                     mailbox.add(json.dumps({"kind": "news", name: row}))
-        for row in self._view.series:
+        for row in self.view.series:
             if before_s < row["t_s"] <= t_s:
                 mailbox.add(json.dumps({"kind": "news", "point": row}))
 

@@ -8,6 +8,7 @@ from typing import Any
 from fieldkit.messages import Operator
 from fieldkit.recording.reader import Recording
 from mission.core.mission_file import Mission
+from mission.page.answers import Answers
 from mission.page.live import LiveShow
 from mission.page.past import PastShow
 from mission.page.server import Page
@@ -21,8 +22,10 @@ class LivePage:
     def __init__(self, mission: Mission, host: str, port: int) -> None:
         self._runner: Runner | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self.follower = LiveShow(View(mission, self._answers, alarms=self._alarms))
-        self.page = Page(self.follower, self._command, host=host, port=port)
+        view = View(mission, self._answers, alarms=self._alarms)
+        self.follower = LiveShow(view)
+        answers = Answers(mission.frame, view.latest.present)
+        self.page = Page(self.follower, self._command, host=host, port=port, answers=answers)
         self.follower.page = self.page
 
     def attach(self, runner: Runner) -> None:
@@ -63,5 +66,7 @@ def live(mission: Mission, *, host: str = "127.0.0.1", port: int = 0) -> Iterato
 @contextmanager
 def past(recording: Recording, *, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page]:
     """The page over a recording. Raises `RecordingError`, `ConfigError`."""
-    with Page(PastShow(recording), host=host, port=port) as page:
+    show = PastShow(recording)
+    answers = Answers(show.view.mission.frame, show.view.latest.present)
+    with Page(show, host=host, port=port, answers=answers) as page:
         yield page

@@ -16,7 +16,7 @@ import secrets
 import socket
 import threading
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -41,6 +41,9 @@ NEWS_WAITING = 200
 LONGEST_MESSAGE = 16_384
 SEND_TIMEOUT_S = 10.0
 """A browser that takes nothing for this long is let go."""
+ENDING_S = 3.0
+"""Streams that have not ended by then are cut off."""
+UNKNOWN_HOST = "unknown host name: use the address that was printed"
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
     "Cache-Control": "no-store",
@@ -60,6 +63,18 @@ class Show(Protocol):
 
     def asked(self, mailbox: "Mailbox", question: dict[str, Any]) -> None:
         """It asks for something else to see."""
+        ...
+
+
+class Answers(Protocol):
+    """What is served besides the page."""
+
+    def routes(self) -> Mapping[str, Callable[[Request], Awaitable[Response]]]:
+        """Paths, and what answers there, in the server's loop."""
+        ...
+
+    async def end(self) -> None:
+        """Whatever still goes out ends."""
         ...
 
 
@@ -107,14 +122,16 @@ class Page:
         *,
         host: str = "127.0.0.1",
         port: int = 0,
+        answers: Answers | None = None,
     ) -> None:
         """`on_command` is called in the server's thread with a checked command and says why it is refused, or nothing.
 
-        None: nobody may command.
+        None: nobody may command. `answers` serves other paths than the page's own.
         """
         self.token = secrets.token_urlsafe(16)
         self._show = show
         self._on_command = on_command
+        self._answers = answers
         self._socket = _bound(host, port)
         self.host, self.port = host, int(self._socket.getsockname()[1])
         self.loop: asyncio.AbstractEventLoop | None = None
@@ -124,7 +141,11 @@ class Page:
         app = Starlette(
             routes=[
                 WebSocketRoute("/live", self._live),
-                Route("/", self._file),
+                *(
+                    Route(path, self._guarded(answer))
+                    for path, answer in (answers.routes() if answers else {}).items()
+                ),
+                Route("/", self._file, name="page"),
                 Route("/{name}", self._file),
             ]
         )
@@ -153,6 +174,9 @@ class Page:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._answers is not None and self.loop is not None and self._thread.is_alive():
+            with contextlib.suppress(TimeoutError, RuntimeError):
+                asyncio.run_coroutine_threadsafe(self._answers.end(), self.loop).result(ENDING_S)
         self._server.should_exit = True
         self._server.force_exit = True
         self._thread.join(5.0)
@@ -179,9 +203,17 @@ class Page:
 
     # -- what browsers ask for -------------------------------------------------------------------------------
 
+    def _guarded(self, answer: Callable[[Request], Awaitable[Response]]) -> Any:
+        async def answered(request: Request) -> Response:
+            if not is_known_host(request.headers.get("host", ""), self.host):
+                return PlainTextResponse(UNKNOWN_HOST, 421)
+            return await answer(request)
+
+        return answered
+
     async def _file(self, request: Request) -> Response:
         if not is_known_host(request.headers.get("host", ""), self.host):
-            return PlainTextResponse("unknown host name: use the address that was printed", 421)
+            return PlainTextResponse(UNKNOWN_HOST, 421)
         path = FILES.get(request.path_params.get("name", "page.html"))
         if path is None:
             return PlainTextResponse("there is no such file", 404)

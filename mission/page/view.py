@@ -34,6 +34,7 @@ from fieldkit.messages import (
     VehicleState,
 )
 from mission.core.mission_file import Mission
+from mission.maps.present import Latest
 from mission.page.exposure import Exposure
 from mission.safety.monitor import Watched, reserve_of
 
@@ -79,6 +80,8 @@ class View:
         self._targets: dict[str, list[float]] = {}
         """Robot to the way-point it is sent to now."""
         self._exposure = Exposure(engine)
+        self.latest = Latest(mission)
+        """The present, for other maps."""
         self.tracks: dict[str, list[tuple[float, float, float]]] = {name: [] for name in engine.robots}
         """Robot to (s, east, north), thinned."""
         self.series: list[dict[str, Any]] = []
@@ -92,6 +95,7 @@ class View:
 
     def event(self, inbox_number: int, log_time_ns: int, event: Event) -> None:
         """Take in an event."""
+        self.latest.event(inbox_number, log_time_ns, event)
         self._now_ns = max(self._now_ns, log_time_ns)
         robot = self._robots.get(getattr(event, "robot", None) or "")
         match event:
@@ -154,6 +158,7 @@ class View:
 
     def sources(self, inbox_number: int, log_time_ns: int, sources: Sequence[SourceEstimate]) -> None:
         """Take in what is believed of the sources."""
+        self.latest.sources(inbox_number, log_time_ns, sources)
         self._sources = list(sources)
         self._point(log_time_ns)
 

@@ -14,6 +14,7 @@ import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 
 from fieldkit.checks import Check, Level
 from fieldkit.errors import DeviceError
@@ -36,6 +37,8 @@ COARSE = 0.5
 OLD_CALIBRATION_S = 90 * 86_400.0
 DISK_RED_BYTES, DISK_AMBER_BYTES = 500_000_000, 5_000_000_000
 CPU_AMBER_SHARE = 0.7
+GAP_SPARE = 1.5
+"""Positions come now and then a little late: the longest gap that is bridged must be so many times the usual one."""
 BEAT_S = 1.0
 
 
@@ -49,6 +52,15 @@ class Heard:
     """Robot to why its radio is down."""
     flies: dict[str, bool] = field(default_factory=dict)
     """Robot to whether its vehicle says that it flies."""
+    gaps_s: dict[str, list[float]] = field(default_factory=dict)
+    """Robot to the times between its positions."""
+
+    def place(self, pose: Pose) -> None:
+        """Take in a position."""
+        before = self.poses.get(pose.robot)
+        if before is not None and pose.t_ns > before.t_ns:
+            self.gaps_s.setdefault(pose.robot, []).append((pose.t_ns - before.t_ns) * 1e-9)
+        self.poses[pose.robot] = pose
 
 
 async def preflight(mission: Mission, setup: Setup, folder: Path, listen_s: float) -> list[Check]:
@@ -78,6 +90,7 @@ async def preflight(mission: Mission, setup: Setup, folder: Path, listen_s: floa
     for receiver in setup.receivers:
         if receiver.robot not in silent:
             checks.append(judge_hearing(receiver.robot, heard, listen_s))
+    checks += judge_gaps(mission, heard.gaps_s)
     return [*checks, *judge_places(mission, heard.poses), *judge_heights(mission, heard.flies)]
 
 
@@ -131,13 +144,11 @@ async def _listen(device: Receiver | VehicleLink | PositionSource, heard: Heard)
         async for event in device.events():
             if isinstance(event, VehicleState) and event.link_up:
                 heard.flies[event.robot] = event.flies
-            if isinstance(event, Pose):
-                heard.poses.setdefault(event.robot, event)
-                if heard.poses[event.robot].origin == event.origin:
-                    heard.poses[event.robot] = event
+            if isinstance(event, Pose) and heard.poses.get(event.robot, event).origin == event.origin:
+                heard.place(event)
     elif isinstance(device, PositionSource):
         async for pose in device.poses():
-            heard.poses[pose.robot] = pose
+            heard.place(pose)
     else:
         async for item in device.readings():
             if isinstance(item, RssReading):
@@ -240,6 +251,21 @@ def judge_places(mission: Mission, poses: dict[str, Pose]) -> list[Check]:
             checks.append(Check(robot, "place", level, found, remedy))
         else:
             checks.append(_apart(robot, pose, poses, mission, inside_m))
+    return checks
+
+
+def judge_gaps(mission: Mission, gaps_s: Mapping[str, Sequence[float]]) -> list[Check]:
+    """Whether positions come often enough: between two that are too far apart neither silence nor a reading counts."""
+    bridged_s = mission.kernel.max_pose_gap_s
+    checks = []
+    for robot, gaps in gaps_s.items():
+        usual_s = median(gaps)
+        if usual_s * GAP_SPARE <= bridged_s:
+            continue
+        found = f"one in {usual_s:.1f} s, and gaps of {bridged_s:g} s at most are bridged"
+        enough_s = math.ceil(5.0 * usual_s)
+        remedy = f"set association.max_pose_gap_s to {enough_s}, or what is not heard counts for little"
+        checks.append(Check(robot, "positions", "amber", found, remedy))
     return checks
 
 

@@ -19,7 +19,7 @@ from fieldkit.world.fakes import FakeFleet, FakeReceiver
 from fieldkit.world.sources import TransientSource
 from mission.lab.synthetic import ANTENNA, small_mission
 from mission.shell import setups
-from mission.shell.preflight import judge_calibration, judge_places, preflight
+from mission.shell.preflight import Heard, judge_calibration, judge_gaps, judge_places, preflight
 from mission.shell.runner import Runner
 from mission.shell.setups import Setup, start_places
 
@@ -114,6 +114,18 @@ def test_positions_too_coarse_for_what_is_asked_are_amber(tmp_path: Path) -> Non
     unsure = replace(mission, kernel=replace(mission.kernel, engine=coarse))
     (said,) = [check for check in judge_calibration(unsure, 0) if check.name == "positions"]
     assert said.level == "amber" and "known to 2 m, and a find is asked for within 0.5 m" in said.found
+
+
+def test_positions_too_rare_to_be_bridged_are_amber(tmp_path: Path) -> None:
+    mission, heard = small_mission(tmp_path), Heard()
+    for k in range(20):
+        heard.place(Pose(round(k * 1e9), "r1", 1.0, 1.0))
+        heard.place(Pose(round(k * 2e8), "r2", 2.0, 1.0))
+    (said,) = judge_gaps(mission, heard.gaps_s)
+    assert (said.robot, said.level) == ("r1", "amber") and "one in 1.0 s" in said.found
+    assert "max_pose_gap_s to 5" in said.remedy
+    patient = replace(mission, kernel=replace(mission.kernel, max_pose_gap_s=5.0))
+    assert not judge_gaps(patient, heard.gaps_s)
 
 
 def test_a_missing_radio_is_red_and_the_rest_is_checked_all_the_same(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from fieldkit.cli import build
 from fieldkit.messages import GoTo, Hold, Operator, Pose, Tick, VehicleState, Waypoint
 from fieldkit.world.walker import Walker, WanderingError, body_loss_db
+from mission.core.advice import advise
 from mission.core.kernel import Kernel
 from mission.core.mission_file import parse_mission
 from mission.core.walk_text import WalkOptions, walk_text
@@ -144,6 +145,13 @@ def test_the_file_of_a_walk_is_a_mission_with_a_person() -> None:
     mission = walk_mission(3)
     assert mission.safety.on_foot == {"me"}
     assert mission.kernel.max_pose_gap_s >= 2.0, "a satellite receiver gives one position a second"
+
+
+def test_a_satellite_receiver_and_short_gaps_are_advised_against() -> None:
+    mission = walk_mission(3)
+    assert not any("max_pose_gap_s" in note for note in advise(mission))
+    short = replace(mission, kernel=replace(mission.kernel, max_pose_gap_s=1.0))
+    assert any("max_pose_gap_s of 1 s bridges no gap" in note for note in advise(short))
 
 
 @pytest.mark.parametrize("rate", [1.0, 20.0, 40.0])

@@ -1,10 +1,11 @@
 // Puts the parts together: messages in, one drawing per screen refresh at most, and the state of the connection.
 import { model } from "./model.js";
 import { connect, ask } from "./socket.js";
-import { area, draw } from "./map.js";
+import { area, draw, pin } from "./map.js";
 import { chart } from "./chart.js";
 import { clock, fill } from "./panels.js";
 import { walk } from "./walk.js";
+import { setUpWhere } from "./where.js";
 import { notice, setUp, showRights } from "./commands.js";
 
 const $ = (id) => document.getElementById(id);
@@ -46,7 +47,7 @@ function refresh() {
   // Drawn only when there is something new: a phone in the field has one battery.
   const newest = model.detections.at(-1)?.seenAt ?? -RING_MS;
   const moving = area.drawing || performance.now() - newest < RING_MS;
-  const now = `${model.version.side} ${model.version.grids} ${innerWidth} ${innerHeight} ${layer()} ${moving && performance.now()}`;
+  const now = `${model.version.side} ${model.version.grids} ${innerWidth} ${innerHeight} ${layer()} ${pin.at} ${moving && performance.now()}`;
   if (now !== drawn) { drawn = now; draw(); }
   requestAnimationFrame(refresh);
 }
@@ -62,6 +63,7 @@ for (const button of document.querySelectorAll("#tabs button")) {
 }
 $("notice").addEventListener("click", () => notice(""));
 setUp();
+setUpWhere();
 connect(onMessage, showState);
 setInterval(showState, 500);
 requestAnimationFrame(refresh);

@@ -9,6 +9,8 @@ let corners = []; // of an area being drawn, in metres
 let pointer = null;
 let css = {};
 
+export const pin = { at: null }; // what the operator has asked about
+
 export const area = {
   get corners() { return corners; },
   drawing: false,
@@ -73,7 +75,7 @@ function fit() {
   }
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   const field = model.hello.field;
-  const pad = { left: 44, right: 18, top: 54, bottom: 34 }; // axis labels, and the switch for the layers
+  const pad = { left: 44, right: 18, top: 54, bottom: 42 }; // axis labels, and the switch for the layers
   const room = { east: width - pad.left - pad.right, north: height - pad.top - pad.bottom };
   const scale = Math.min(room.east / field.east_m, room.north / field.north_m);
   view = {
@@ -119,7 +121,7 @@ function drawGround(field, layer) {
     pen.drawImage(imageOf(grid), X(0), Y(north), east * view.scale, north * view.scale);
     pen.restore();
   }
-  const step = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 5000].find((s) => s * view.scale >= 62) ?? 10000;
+  const step = STEPS_M.find((s) => s * view.scale >= 62) ?? STEPS_M.at(-1);
   pen.lineWidth = 1;
   pen.strokeStyle = css.line;
   pen.fillStyle = css.faint;
@@ -265,6 +267,43 @@ function drawRobots(frame) {
   }
 }
 
+const STEPS_M = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000];
+
+export function scaleOf(pixelsPerMetre) { // the longest round length that fits beside the map's corner
+  return STEPS_M.filter((length) => length * pixelsPerMetre <= 130).at(-1) ?? STEPS_M[0];
+}
+
+function drawNorthAndScale() {
+  const length = scaleOf(view.scale);
+  const right = view.width - 16;
+  const [left, y] = [right - length * view.scale, view.height - 6];
+  for (const [colour, width] of [[css.map, 6], [css.text, 2]]) {
+    pen.strokeStyle = colour; pen.lineWidth = width;
+    pen.beginPath();
+    pen.moveTo(left, y - 5); pen.lineTo(left, y); pen.lineTo(right, y); pen.lineTo(right, y - 5);
+    pen.stroke();
+  }
+  pen.textAlign = "right"; pen.textBaseline = "bottom";
+  halo(length >= 1000 ? `${length / 1000} km` : `${length} m`, left - 6, y + 3, css.text);
+  const [x, top] = [view.width - 24, view.height - 74];
+  pen.beginPath(); pen.moveTo(x, top); pen.lineTo(x + 8, top + 24); pen.lineTo(x, top + 18); pen.lineTo(x - 8, top + 24); pen.closePath();
+  pen.strokeStyle = css.map; pen.lineWidth = 4; pen.stroke();
+  pen.fillStyle = css.text; pen.fill();
+  pen.textAlign = "center";
+  halo("N", x, top - 1, css.text, "700 13px system-ui");
+}
+
+function drawPin() {
+  if (!pin.at) return;
+  const [x, y] = [X(pin.at[0]), Y(pin.at[1])];
+  for (const [colour, width] of [[css.map, 5], [css.accent, 2]]) {
+    pen.strokeStyle = colour; pen.lineWidth = width;
+    pen.beginPath(); pen.arc(x, y, 7, 0, 7); pen.moveTo(x - 12, y); pen.lineTo(x - 3, y); pen.moveTo(x + 3, y); pen.lineTo(x + 12, y);
+    pen.moveTo(x, y - 12); pen.lineTo(x, y - 3); pen.moveTo(x, y + 3); pen.lineTo(x, y + 12);
+    pen.stroke();
+  }
+}
+
 function drawArea() {
   if (!area.drawing) return;
   const points = pointer ? [...corners, pointer] : corners;
@@ -289,7 +328,9 @@ export function draw() {
     drawHearing(frame);
     drawRobots(frame);
   }
+  drawPin();
   drawArea();
+  drawNorthAndScale();
   const grid = model.grids[layer];
   document.getElementById("legend").textContent = !grid ? "" : layer === "belief"
     ? `a source is in the cell: up to ${grid.largest.toPrecision(2)}`

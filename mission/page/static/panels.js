@@ -2,15 +2,12 @@
 // button never falls between two of them.
 import { colourOf, model } from "./model.js";
 import { press } from "./commands.js";
+import { element } from "./dom.js";
+import { showWhere } from "./where.js";
 
 const $ = (id) => document.getElementById(id);
 const made = { robots: new Map(), sources: new Map() };
 
-export function element(tag, properties = {}, ...children) {
-  const node = Object.assign(document.createElement(tag), properties);
-  node.append(...children);
-  return node;
-}
 export function clock(seconds) {
   const s = Math.max(0, Math.floor(seconds));
   const two = (n) => String(n).padStart(2, "0");
@@ -96,7 +93,7 @@ function robots(frame) {
 
 function makeSource(ident) {
   const part = {
-    ident: element("span", { textContent: ident }), where: element("span", { className: "where" }),
+    ident: element("span", { textContent: ident }), where: element("button", { className: "place", title: "Say it in degrees, UTM, MGRS" }),
     p: element("span", { className: "p" }), more: element("span", { className: "more" }),
     button: element("button", { className: "act", textContent: "Mark as removed" }),
   };
@@ -104,6 +101,7 @@ function makeSource(ident) {
   part.button.dataset.source = ident;
   part.button.addEventListener("click", () => press(part.button, "remove", { source: ident }, true));
   const acts = element("div", { className: "acts" }, part.button);
+  part.where.addEventListener("click", () => showWhere(...part.at, `Source ${ident}`));
   part.row = element("div", { className: "source" }, part.ident, element("div", {}, part.where, element("br"), part.more), part.p, acts);
   return part;
 }
@@ -119,6 +117,7 @@ function sources(frame) {
     if (!part) { part = makeSource(source.ident); made.sources.set(source.ident, part); }
     if (box.children[index] !== part.row) box.insertBefore(part.row, box.children[index] ?? null);
     set(part.ident, String(source.ident), `ident ${source.state}`);
+    part.at = [source.east_m, source.north_m];
     set(part.where, `${source.east_m.toFixed(1)} m E, ${source.north_m.toFixed(1)} m N`);
     set(part.p, `${Math.round(100 * source.p)} %`, `p ${source.state}`);
     const spread = source.half_axes_m[0] === null ? "" : `90 % in ${source.half_axes_m[0].toFixed(1)} m`;

@@ -1,0 +1,114 @@
+"""What the page's server answers besides the page: places in other words, and the present for other maps.
+
+    /where?east_m=..&north_m=..   a place as latitude and longitude, UTM, MGRS
+    /sources.geojson              what there is now; /sources.ndjson gives it again and again, a line each
+    /network.kml                  a link for Google Earth, which fetches /present.kml
+
+Everything here only looks. Places where robots are and were are as open as the page itself.
+"""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from dataclasses import asdict
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
+
+from fieldkit.coordinates import coordinates
+from fieldkit.geo import FieldFrame
+from mission.maps import kml
+from mission.maps.geojson import collection
+from mission.maps.present import Present
+
+EVERY_S = 1.0
+"""Between lines of the stream; none is sent while nothing has changed."""
+LONGEST_SILENCE_S = 15.0
+"""After so long the same is sent once more, so that whoever listens knows that the line is alive."""
+MOST_STREAMS = 16
+FURTHEST_M = 1e6
+
+Answer = Callable[[Request], Awaitable[Response]]
+
+
+class Answers:
+    """For one mission or recording. Asked in the server's loop."""
+
+    def __init__(self, frame: FieldFrame, present: Callable[[], Present]) -> None:
+        self._frame, self._present = frame, present
+        self._streams = 0
+        self._ending, self._ended = asyncio.Event(), asyncio.Event()
+        self._ended.set()
+
+    async def end(self) -> None:
+        """End the streams, and return when they have ended."""
+        self._ending.set()
+        await self._ended.wait()
+
+    def routes(self) -> Mapping[str, Answer]:
+        """Path to what answers there."""
+        return {
+            "/where": self._where,
+            "/sources.geojson": self._geojson,
+            "/sources.ndjson": self._stream,
+            "/present.kml": self._kml,
+            "/network.kml": self._link,
+        }
+
+    async def _where(self, request: Request) -> Response:
+        try:
+            east_m, north_m = (float(request.query_params[key]) for key in ("east_m", "north_m"))
+        except (KeyError, ValueError):
+            return PlainTextResponse("expected ?east_m=..&north_m=.., two numbers", 400)
+        if not (abs(east_m) <= FURTHEST_M and abs(north_m) <= FURTHEST_M):
+            return PlainTextResponse("too far away", 400)
+        lat_deg, lon_deg, _ = self._frame.to_geodetic(east_m, north_m)
+        return JSONResponse(
+            {
+                "metres": f"{east_m:.1f} m E, {north_m:.1f} m N",
+                **asdict(coordinates(lat_deg, lon_deg)),
+            }
+        )
+
+    async def _geojson(self, request: Request) -> Response:
+        return Response(_text(self._present()), media_type="application/geo+json", headers=_FRESH)
+
+    async def _stream(self, request: Request) -> Response:
+        if self._streams >= MOST_STREAMS:
+            return PlainTextResponse("too many listen already", 503)
+        return StreamingResponse(self._lines(), media_type="application/x-ndjson", headers=_FRESH)
+
+    async def _lines(self) -> AsyncIterator[str]:
+        self._streams += 1
+        self._ended.clear()
+        last_ns = -1
+        silent_s = 0.0
+        try:
+            while not self._ending.is_set():
+                now = self._present()
+                if now.t_ns != last_ns or silent_s >= LONGEST_SILENCE_S:
+                    last_ns, silent_s = now.t_ns, 0.0
+                    yield _text(now) + "\n"
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._ending.wait(), EVERY_S)
+                silent_s += EVERY_S
+        finally:
+            self._streams -= 1
+            if not self._streams:
+                self._ended.set()
+
+    async def _kml(self, request: Request) -> Response:
+        return Response(kml.document(self._present()), media_type=kml.MEDIA_TYPE, headers=_FRESH)
+
+    async def _link(self, request: Request) -> Response:
+        address = str(request.url_for("page").replace(path="/present.kml", query="", fragment=""))
+        link = kml.network_link(self._present().name, address)
+        return Response(link, media_type=kml.MEDIA_TYPE, headers=_FRESH)
+
+
+_FRESH = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff"}
+
+
+def _text(present: Present) -> str:
+    return json.dumps(collection(present), separators=(",", ":"), allow_nan=False)

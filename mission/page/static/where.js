@@ -1,0 +1,63 @@
+// A tap on the map says where that is, in metres, degrees, UTM and MGRS; a tap on one of these copies it.
+import { area, pin, toMetres } from "./map.js";
+import { element } from "./dom.js";
+
+const $ = (id) => document.getElementById(id);
+const NAMES = [["metres", "field"], ["lat_lon", "lat, lon"], ["utm", "UTM"], ["mgrs", "MGRS"]];
+let asked = 0;
+
+// Without https browsers keep the clipboard to themselves: then the old way.
+export async function copy(text) {
+  if (navigator.clipboard && window.isSecureContext) {
+    try { await navigator.clipboard.writeText(text); return true; } catch { /* the old way may still do */ }
+  }
+  const box = element("textarea", { value: text, readOnly: true, className: "away" });
+  document.body.append(box);
+  box.select();
+  let done = false;
+  try { done = document.execCommand("copy"); } catch { done = false; }
+  box.remove();
+  return done;
+}
+
+export async function showWhere(east_m, north_m, title = "") {
+  const mine = asked += 1;
+  let words = null;
+  try {
+    const answer = await fetch(`where?east_m=${east_m.toFixed(3)}&north_m=${north_m.toFixed(3)}`);
+    if (answer.ok) words = await answer.json();
+  } catch { words = null; }
+  if (mine !== asked) return; // another tap has come
+  const box = $("where");
+  pin.at = [east_m, north_m];
+  const rows = NAMES.filter(([key]) => words?.[key]).map(([key, name]) => {
+    const button = element("button", { title: "Tap to copy" }, element("small", { textContent: name }), element("span", { textContent: words[key] }));
+    button.dataset.form = key;
+    button.addEventListener("click", async () => {
+      const done = await copy(words[key]);
+      button.classList.toggle("copied", done);
+      button.firstChild.textContent = done ? "copied" : "copy it by hand";
+    });
+    return button;
+  });
+  const close = element("button", { className: "close", textContent: "×", title: "Close" });
+  close.setAttribute("aria-label", "Close");
+  close.addEventListener("click", hideWhere);
+  const said = words ? title : "No answer from the mission's computer.";
+  box.replaceChildren(element("div", { className: "head" }, element("strong", { textContent: said || "Here" }), close), ...rows);
+  box.hidden = false;
+}
+
+export function hideWhere() {
+  asked += 1;
+  pin.at = null;
+  $("where").hidden = true;
+}
+
+export function setUpWhere() {
+  $("map").addEventListener("click", (event) => {
+    if (area.drawing) return;
+    const [east, north] = toMetres(event);
+    showWhere(east, north);
+  });
+}
