@@ -4,7 +4,9 @@ A `Quantity` says what a value means, in which unit, what it is where nobody say
 it makes sense. The bounds are those of robots and radios that exist: outside them a number is a slip of the pen.
 """
 
+import math
 from dataclasses import dataclass
+from typing import Final
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,8 @@ POWER_DB = Quantity(0.0, -60.0, 60.0, "dB", "power of a transmitter relative to 
 RATE_HZ = positive(0.05, 1_000.0, "Hz", "transmissions of a typical source")
 SOURCE_UP_M = Quantity(0.0, -500.0, 9_000.0, "m", "height of transmitters above the field's origin")
 EXPECTED_SOURCES = positive(4.0, 10_000.0, "", "expected number of sources in the field")
+IDENTITY: Final = "anonymous"
+"""Nobody is taken for a source because of the address a frame names."""
 
 # -- receivers -----------------------------------------------------------------------------------------------
 
@@ -50,6 +54,13 @@ THRESHOLD_DBM = Quantity(-92.0, -250.0, 50.0, "dBm", "strongest level a robot's 
 
 # -- the engine ----------------------------------------------------------------------------------------------
 
+BELIEF: Final = "intensity"
+PLANNER: Final = "infogain"
+PRIOR_RULE: Final = "em"
+SENSING: Final = "levels"
+DIRECTIONAL_FORM: Final = "censored"
+GROUP_GAP_M = math.inf
+"""Ridges of `dprwa` are toured in one group, as the paper does, until a mission says how far apart they may be."""
 FOUND_PROBABILITY = Quantity(0.9, 0.5, 0.9999, "", "probability from which a source counts as found")
 MIN_RECEPTIONS = positive(3.0, 1_000.0, "", "receptions from which a source counts as found")
 PLANNING_PERIOD_S = Quantity(20.0, 1.0, 3_600.0, "s", "time between plans")
@@ -66,6 +77,8 @@ SEED_MAX = 2**63 - 1
 WINDOW_S = positive(0.1, 60.0, "s", "receptions nearer than this are one transmission")
 LATENESS_S = positive(1.0, 600.0, "s", "how late a reception may reach this computer")
 POSE_GAP_S = positive(1.0, 600.0, "s", "longest gap between positions that is interpolated")
+SILENCE_STEP_S = 1.0
+"""Silence is told to the belief in stretches of this length, each heard from the place in its middle."""
 
 # -- the loop ------------------------------------------------------------------------------------------------
 

@@ -3,18 +3,17 @@
 import ast
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import MISSING, fields
 
 from test_layout import ROOT, files
 
 from fieldkit import settings
+from fieldkit.engine.settings import EngineSettings
 from fieldkit.settings import Quantity
+from mission.core.kernel_settings import KernelSettings
+from mission.core.tables import AssociationTable, EndTable, EngineTable, SafetyTable, SourcesTable
 
 HOME = {name.lower(): value for name, value in vars(settings).items() if name.isupper()}
-WRITTEN_AGAIN = {
-    "fieldkit/engine/settings.py": "awaits its turn",
-    "fieldkit/engine/association/detections.py": "awaits its turn",
-}
-"""Files that may, and why."""
 ALIKE = {
     "GOES_ON_WITH_PILOT": "the emulator is written against the manual, not against the driver it tests",
     "ROBOTS": "each bench says how large its own fleet is",
@@ -57,7 +56,41 @@ def test_no_default_of_settings_is_written_out_again() -> None:
         # Nothing at all (0 m high, 0 dB more) is the origin of a scale, and no choice of anybody's.
         if isinstance(home := HOME.get(name), Quantity) and value == home.default != 0.0
     ]
-    assert [f"{path} {name}" for path, name in again if path not in WRITTEN_AGAIN] == []
+    assert again == []
+
+
+def test_an_engine_and_a_mission_file_that_say_nothing_mean_the_same() -> None:
+    """Names differ between the two, so the test above would not see a number that stands in both."""
+    table = {**dict(EngineTable()), **dict(SafetyTable()), **{f"sources.{k}": v for k, v in SourcesTable()}}
+    names = {
+        "reference_rate_hz": "sources.rate_hz",
+        "expected_sources": "sources.expected",
+        "source_up_m": "sources.up_m",
+        "power_levels_db": "sources.power_levels_db",
+        "identity": "sources.identity",
+    }
+    engine = {each.name: each.default for each in fields(EngineSettings) if each.default is not MISSING}
+    no_choice = {"keep_out", "spread", "seed"}
+    assert {name: table[names.get(name, name)] for name in engine.keys() - no_choice} == {
+        name: value for name, value in engine.items() if name not in no_choice
+    }
+    kernel = {each.name: each.default for each in fields(KernelSettings)}
+    association = AssociationTable()
+    assert (
+        kernel["association_window_s"],
+        kernel["association_lateness_s"],
+        kernel["max_pose_gap_s"],
+        kernel["belief"],
+        kernel["planner"],
+        kernel["max_duration_s"],
+    ) == (
+        association.window_s,
+        association.lateness_s,
+        association.max_pose_gap_s,
+        EngineTable().belief,
+        EngineTable().planner,
+        EndTable().max_duration_s,
+    )
 
 
 def test_no_two_files_have_the_same_constant() -> None:

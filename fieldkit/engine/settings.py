@@ -1,12 +1,12 @@
 """What the engine is told before a mission; checked once here, trusted inside."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
+from fieldkit import settings as given
 from fieldkit.channel.antenna_file import Receiver
 from fieldkit.channel.model import Antenna
 from fieldkit.channel.spread import ChannelSpread
@@ -28,22 +28,22 @@ class EngineSettings:
     antenna: Antenna
     teams: tuple[tuple[str, ...], ...]
     """Robots that move abreast: pairs, or single robots."""
-    power_levels_db: tuple[float, ...] = (0.0,)
+    power_levels_db: tuple[float, ...] = (given.POWER_DB.default,)
     """Powers a source may send at, relative to the calibrated transmitter."""
-    found_probability: float = 0.9
+    found_probability: float = given.FOUND_PROBABILITY.default
     """p_t: a source is found when it is within `found_within_m` of the estimate with at least this probability."""
-    min_receptions: float = 3.0
-    reference_rate_hz: float = 0.05
+    min_receptions: float = given.MIN_RECEPTIONS.default
+    reference_rate_hz: float = given.RATE_HZ.default
     """Transmission rate of a typical source; a source that sends more rarely takes longer to be noticed."""
-    expected_sources: float = 4.0
+    expected_sources: float = given.EXPECTED_SOURCES.default
     """Prior mean of the number of sources in the whole field."""
-    planning_period_s: float = 20.0
-    max_speed_m_s: float = 0.4
-    max_turn_deg_s: float = 90.0
+    planning_period_s: float = given.PLANNING_PERIOD_S.default
+    max_speed_m_s: float = given.MAX_SPEED_M_S.default
+    max_turn_deg_s: float = given.MAX_TURN_DEG_S.default
     """How fast a robot turns on the spot at the corners of its path."""
-    min_separation_m: float = 0.6
+    min_separation_m: float = given.MIN_SEPARATION_M.default
     """No two robots are planned closer than this."""
-    fence_margin_m: float = 0.2
+    fence_margin_m: float = given.FENCE_MARGIN_M.default
     """Way-points keep this far inside the field's border."""
     keep_out: KeepOut = NOWHERE
     """Ground no path may cross."""
@@ -52,22 +52,22 @@ class EngineSettings:
     found_within_m: float | None = None
     """A source is found when it is this near to the estimate; None: within one cell, without place noise, else 2 m or
     a tenth of the typical range, at most a third of it."""
-    pose_sigma_m: float = 0.05
+    pose_sigma_m: float = given.POSE_SIGMA_M.default
     """Standard deviation of each coordinate of the robots' positions; a pose that says it is worse is believed."""
-    source_up_m: float = 0.0
+    source_up_m: float = given.SOURCE_UP_M.default
     """How high transmitters are above the field's origin."""
-    identity: Literal["anonymous", "address"] = "anonymous"
+    identity: Literal["anonymous", "address"] = given.IDENTITY
     """`address`: each address that frames name is one source, and nobody guesses who sent what."""
     receivers: Mapping[str, Receiver] = field(default_factory=dict, hash=False)
     """Robots whose radio is not like the calibrated one."""
     seed: int = 0
-    prior_rule: str = "em"
+    prior_rule: str = given.PRIOR_RULE
     """SPOG only: literal, uniform, dirichlet or em (notes on PRWA eq 2)."""
-    sensing: str = "levels"
+    sensing: str = given.SENSING
     """levels (exact, power set known), pairwise (PRWA Theorem 1) or directional (RWA, one robot); for SPOG."""
-    directional_form: Literal["censored", "interval", "density", "truncated"] = "censored"
+    directional_form: Literal["censored", "interval", "density", "truncated"] = given.DIRECTIONAL_FORM
     """For `directional` sensing: censored (ends of the scale open), or interval, density or truncated as printed."""
-    group_gap_m: float = math.inf
+    group_gap_m: float = given.GROUP_GAP_M
     """DPRWA only: ridges further apart than this are toured in separate groups, each by pairs of its own."""
     normalised_entropy: bool = False
     """PRWA only: choose the spacing by P(C_i^1), a distribution, not by P(C_i) as eq 25 prints it."""

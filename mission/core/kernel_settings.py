@@ -13,8 +13,8 @@ class KernelSettings:
     """The choices of a mission file that the kernel follows."""
 
     engine: EngineSettings
-    belief: str = "intensity"
-    planner: str = "infogain"
+    belief: str = given.BELIEF
+    planner: str = given.PLANNER
     association_window_s: float = given.WINDOW_S.default
     association_lateness_s: float = given.LATENESS_S.default
     max_pose_gap_s: float = given.POSE_GAP_S.default

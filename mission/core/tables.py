@@ -129,20 +129,20 @@ class SourcesTable(Table):
     """What is known of the transmitters beforehand."""
 
     power_levels_db: Annotated[tuple[Annotated[float, bounds(given.POWER_DB)], ...], Field(min_length=1)] = (
-        0.0,
+        given.POWER_DB.default,
     )
     rate_hz: float = value(given.RATE_HZ)
     expected: float = value(given.EXPECTED_SOURCES)
     up_m: float = value(given.SOURCE_UP_M)
-    identity: Literal["anonymous", "address"] = "anonymous"
+    identity: Literal["anonymous", "address"] = given.IDENTITY
     """`address`: each address that frames name is one source; frames that name none are of nobody known."""
 
 
 class EngineTable(Table):
     """Which belief and planner, and their common settings."""
 
-    belief: str = "intensity"
-    planner: str = "infogain"
+    belief: str = given.BELIEF
+    planner: str = given.PLANNER
     found_probability: float = value(given.FOUND_PROBABILITY)
     min_receptions: float = value(given.MIN_RECEPTIONS)
     place_noise: Flag = True
@@ -153,11 +153,11 @@ class EngineTable(Table):
     pose_sigma_m: float = value(given.POSE_SIGMA_M)
     arrive_m: Annotated[float, bounds(given.ARRIVE_M)] | None = None
     """A robot so near to its way-point has arrived; from speed and positions where not given."""
-    prior_rule: Literal["literal", "uniform", "dirichlet", "em"] = "em"
-    sensing: Literal["levels", "pairwise", "directional"] = "levels"
-    directional_form: Literal["censored", "interval", "density", "truncated"] = "censored"
+    prior_rule: Literal["literal", "uniform", "dirichlet", "em"] = given.PRIOR_RULE
+    sensing: Literal["levels", "pairwise", "directional"] = given.SENSING
+    directional_form: Literal["censored", "interval", "density", "truncated"] = given.DIRECTIONAL_FORM
     """`directional` sensing: how a reading's probability is written."""
-    group_gap_m: Annotated[float, Field(strict=True, gt=0)] = math.inf
+    group_gap_m: Annotated[float, Field(strict=True, gt=0)] = given.GROUP_GAP_M
     """`dprwa`: ridges further apart than this are toured in separate groups."""
     normalised_entropy: Flag = False
     """`prwa`: choose how far abreast pairs drive by a distribution, not by P(C_i) as printed."""

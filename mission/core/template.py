@@ -124,7 +124,7 @@ def mission_text(
     )
     found = f"sources_found = {sources_found}" if sources_found else "# sources_found = 3"
     left = "# probability_left = 0.05" if sources_found else "probability_left = 0.05"
-    chosen: dict[str, str | float | bool] = {"belief": "intensity", "planner": "infogain", **engine}
+    chosen: dict[str, str | float | bool] = {"belief": given.BELIEF, "planner": given.PLANNER, **engine}
     return _TEXT.format(
         given=given,
         reserve_pct=given.BATTERY_RESERVE_PCT.default,

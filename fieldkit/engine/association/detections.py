@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fieldkit import settings as given
 from fieldkit.messages import Detection, Listening, Pose, ReceiverState, RssReading
 
 _KEEP_NS = 30_000_000_000
@@ -118,10 +119,10 @@ class Associator:
         self,
         robots: tuple[str, ...],
         *,
-        window_s: float = 0.1,
-        lateness_s: float = 1.0,
-        max_pose_gap_s: float = 1.0,
-        silence_step_s: float = 1.0,
+        window_s: float = given.WINDOW_S.default,
+        lateness_s: float = given.LATENESS_S.default,
+        max_pose_gap_s: float = given.POSE_GAP_S.default,
+        silence_step_s: float = given.SILENCE_STEP_S,
         flying: Container[str] = (),
     ) -> None:
         """`flying`: robots that leave the ground. Of them positions without a height are no positions."""

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, logsumexp
 
+from fieldkit import settings as given
 from fieldkit.channel.model import Antenna
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Detection, FloatArray
@@ -58,7 +59,7 @@ def log_interval(low: ArrayLike, high: ArrayLike) -> FloatArray:
 
 
 def log_reading(
-    z: float, mean: ArrayLike, sigma: float, z_min: float, z_max: float, form: Form = "censored"
+    z: float, mean: ArrayLike, sigma: float, z_min: float, z_max: float, form: Form = given.DIRECTIONAL_FORM
 ) -> FloatArray:
     """log P(Z = z) for an integer reading in z_min..z_max of mean `mean` (any shape), in the given form."""
     mu = np.asarray(mean, dtype=float)
@@ -97,7 +98,7 @@ class DirectionalModel:
         power_levels_db: tuple[float, ...],
         points_m: FloatArray,
         min_range_m: float,
-        form: Form = "censored",
+        form: Form = given.DIRECTIONAL_FORM,
     ) -> None:
         """`points_m` (n, 2). Raises `ConfigError` for an antenna without a pattern, or an unknown form."""
         if not antenna.pattern_db:

@@ -22,6 +22,8 @@ from fieldkit.world.sources import TransientSource
 
 PERIODIC = ("prwa", "rwa")
 """Planners that plan anew every period; the others when a team has come to the end of its path."""
+ROBOTS_APART_M = 0.6
+"""How near to each other the studies' planners may send robots; all their published figures are made with it."""
 
 
 @dataclass(slots=True)

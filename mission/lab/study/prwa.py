@@ -16,7 +16,7 @@ from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.world.sources import random_sources
 from mission.lab.study.experiment import Experiment, Job, run
-from mission.lab.study.packets import search
+from mission.lab.study.packets import ROBOTS_APART_M, search
 from mission.lab.study.pool import Progress
 from mission.lab.study.twin import against_numpy
 
@@ -37,6 +37,7 @@ def engine(seed: int, robots: int) -> EngineSettings:
         tuple((f"r{2 * k}", f"r{2 * k + 1}") for k in range(robots // 2)),
         LEVELS_DB,
         planning_period_s=PERIOD_S,
+        min_separation_m=ROBOTS_APART_M,
         sensing="pairwise",
         prior_rule="dirichlet",
         seed=seed,

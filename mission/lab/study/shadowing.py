@@ -21,6 +21,7 @@ from fieldkit.world.sources import TransientSource, random_sources
 from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
 from mission.lab.simulate import Truth, simulate
+from mission.lab.study.packets import ROBOTS_APART_M
 from mission.lab.study.pool import Progress, run_trials
 from mission.lab.study.trust import CELL_M, EXPONENT, FIELD_M, LEVELS_DB, RATE_HZ, THRESHOLD_DBM
 
@@ -83,6 +84,7 @@ def settings(scenario: Scenario, seed: int) -> EngineSettings:
         (("r0", "r1"), ("r2", "r3"), ("r4", "r5")),
         LEVELS_DB,
         reference_rate_hz=RATE_HZ,
+        min_separation_m=ROBOTS_APART_M,
         seed=seed,
         spread=spread if scenario.known else None,
         found_within_m=FOUND_WITHIN_M,

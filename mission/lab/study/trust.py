@@ -22,6 +22,7 @@ from fieldkit.world.sources import TransientSource, random_sources
 from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
 from mission.lab.simulate import Truth, simulate
+from mission.lab.study.packets import ROBOTS_APART_M
 from mission.lab.study.pool import Progress, run_trials
 
 FIELD_M, CELL_M, RATE_HZ = 25.0, 0.5, 0.05
@@ -105,6 +106,7 @@ def settings(seed: int, *, exponent: float = EXPONENT) -> EngineSettings:
         (("r0", "r1"), ("r2", "r3"), ("r4", "r5")),
         LEVELS_DB,
         reference_rate_hz=RATE_HZ,
+        min_separation_m=ROBOTS_APART_M,
         seed=seed,
         # What a mission knows of a radio whose place noise nobody measured; a find keeps to its cell, as the
         # PRWA paper's does.
