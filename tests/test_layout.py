@@ -20,7 +20,7 @@ LONG_FUNCTIONS: dict[str, str] = {
     "drivers/positions/cli.py survey": OPTIONS,
     "mission/cli/missions.py replay": OPTIONS,
     "mission/core/template.py mission_text": "what may be chosen, with defaults, and where each goes in the text",
-    "fieldkit/engine/belief/intensity/loops.py share_out": LOOP,
+    "fieldkit/engine/belief/intensity/loops.py attribute": LOOP,
     "fieldkit/engine/likelihood/correlated_loops.py log_marginal": LOOP,
     "fieldkit/engine/likelihood/levels_loops.py conditional_loglik": LOOP,
     "fieldkit/engine/likelihood/places_loops.py condition_on_neighbours": LOOP,

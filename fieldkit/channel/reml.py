@@ -105,16 +105,16 @@ class _Problem:
         self.parts = []
         distances = []
         for each in transmitters:
-            told = by_place(each.place_m, each.level_db, cell_m, MOST_PLACES)
-            apart = np.sqrt(((told.place_m[:, None] - told.place_m[None]) ** 2).sum(axis=-1))
-            columns = design(told.place_m, each.source_m, min_range_m)
+            averaged = by_place(each.place_m, each.level_db, cell_m, MOST_PLACES)
+            apart = np.sqrt(((averaged.place_m[:, None] - averaged.place_m[None]) ** 2).sum(axis=-1))
+            columns = design(averaged.place_m, each.source_m, min_range_m)
             distances.append(10.0 ** (-columns[:, 1] / 10.0))
-            self.parts.append((told, apart, columns))
+            self.parts.append((averaged, apart, columns))
         typical_m = float(np.median(np.concatenate(distances)))
         self.typical = {**TYPICAL, "correlation_m": (max(LENGTH_SHARE * typical_m, 0.3), LENGTH_LOG_SD)}
         self.start = np.log([self.typical[name][0] for name in HYPER])
         self.width = np.array([self.typical[name][1] for name in HYPER])
-        level = float(np.mean(np.concatenate([told.level_db for told, _, _ in self.parts])))
+        level = float(np.mean(np.concatenate([averaged.level_db for averaged, _, _ in self.parts])))
         self.mean0 = np.array([level + 22.0 * np.log10(typical_m), 2.2, 0.0])[: len(self.fixed)]
         self.weight0 = np.array([1.0 / 100.0**2, 1.0, 0.25])[: len(self.fixed)]
 
@@ -129,20 +129,23 @@ class _Problem:
         precision = np.diag(self.weight0)
         right = self.weight0 * self.mean0
         value = 0.5 * float(self.mean0 @ right)
-        for told, apart, columns in self.parts:
+        for averaged, apart, columns in self.parts:
             cov = place_db**2 * np.exp(-apart / length_m) + (columns * own) @ columns.T
-            cov[np.diag_indices_from(cov)] += white / told.count
+            cov[np.diag_indices_from(cov)] += white / averaged.count
             try:
                 root = scipy.linalg.cholesky(cov, lower=True, check_finite=False)
             except scipy.linalg.LinAlgError:
                 return 1e12, self.mean0, np.diag(1.0 / self.weight0)
             both = scipy.linalg.solve_triangular(
-                root, np.column_stack([told.level_db, columns[:, self.fixed]]), lower=True, check_finite=False
+                root,
+                np.column_stack([averaged.level_db, columns[:, self.fixed]]),
+                lower=True,
+                check_finite=False,
             )
             precision += both[:, 1:].T @ both[:, 1:]
             right = right + both[:, 1:].T @ both[:, 0]
             value += 0.5 * float(both[:, 0] @ both[:, 0]) + float(np.log(np.diag(root)).sum())
-            value += 0.5 * told.within / white + 0.5 * told.freedom * float(np.log(white))
+            value += 0.5 * averaged.within / white + 0.5 * averaged.freedom * float(np.log(white))
         mean = np.linalg.solve(precision, right)
         value += -0.5 * float(right @ mean) + 0.5 * float(np.linalg.slogdet(precision)[1])
         value += 0.5 * float((((logs - self.start) / self.width) ** 2).sum())
@@ -182,7 +185,7 @@ def estimate(transmitters: Sequence[Transmitter], *, cell_m: float | None = None
     enough = [each for each in transmitters if np.unique(each.place_m, axis=0).shape[0] >= FEWEST_PLACES]
     if not enough:
         raise CalibrationRefused(
-            f"no transmitter was heard at {FEWEST_PLACES} places: what differs from place to place cannot be told"
+            f"no transmitter was heard at {FEWEST_PLACES} places: what differs from place to place cannot be estimated"
         )
     away = np.concatenate([np.sqrt(((t.place_m - t.source_m) ** 2).sum(axis=1)) for t in enough])
     least = min_range_m(away)

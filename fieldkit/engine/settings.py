@@ -1,4 +1,4 @@
-"""What the engine is told before a mission; checked once here, trusted inside."""
+"""What the engine is given before a mission; checked once here, trusted inside."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""What else may be wrong in the simulated world, all seeded: collisions, interference, deafness, sources that move.
+"""What else may be wrong in the simulated world, all seeded: collisions, interference, dead radios, moving sources.
 
 Off by default, each by itself; `Truth.disturbed` of a simulated mission has one of these.
 """
@@ -27,7 +27,7 @@ class Disturbances:
     """Packets from somebody far away, heard at random strength by one robot."""
     foreign_robots: int = 1
     """... or by so many robots at once."""
-    deaf: tuple[int, ...] = ()
+    insensitive: tuple[int, ...] = ()
     """Robots, by their number in the teams, that hear nothing though they say that they listen."""
     walk_m_s: float = 0.0
     """Transmitters walk so fast, each straight in a direction of its own, back from the border."""

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import log_ndtr, logsumexp, ndtr
 
+from fieldkit import settings as given
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.messages import Detection, FloatArray, SourceEstimate
 from fieldkit.tuning import LikelihoodTuning
@@ -129,7 +130,7 @@ def refine(
     *,
     size_m: tuple[float, float],
     levels_db: Sequence[float],
-    place_sigma_m: float = 0.05,
+    place_sigma_m: float = given.POSE_SIGMA_M.default,
 ) -> list[Refined]:
     """All sources refined together, from their estimates on; none where nothing was heard.
 
@@ -249,7 +250,10 @@ class Fit:
 
 
 def model_fit(
-    detections: Sequence[Detection], refined: Sequence[Refined], antenna: Antenna, place_sigma_m: float = 0.05
+    detections: Sequence[Detection],
+    refined: Sequence[Refined],
+    antenna: Antenna,
+    place_sigma_m: float = given.POSE_SIGMA_M.default,
 ) -> Fit:
     """Residuals of the readings that are one source's with at least 90 %, against that source as refined.
 

@@ -83,7 +83,7 @@ def simulate(
     truth: Truth,
     seed: int,
     *,
-    step_s: float = 0.5,
+    step_s: float = given.TICK_S,
     on_step: Callable[[Kernel, Event, Outcome], Iterable[Command]] | None = None,
 ) -> Result:
     """Run a mission to its end. Everything random derives from `seed`.
@@ -221,7 +221,7 @@ class _World:
         rss = sample_rss_dbm(truth.antenna, range_m, source.power_db + more, self.rng_channel, off_front)
         if truth.packet_loss > 0.0:
             rss = np.where(self.rng_channel.random(rss.shape) < truth.packet_loss, np.nan, rss)
-        rss[list(what.deaf)] = np.nan
+        rss[list(what.insensitive)] = np.nan
         before = self.last_packet
         self.last_packet = (at_s, rss)
         rss = collided(rss, before and before[1], at_s - before[0] if before else 0.0, what)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fieldkit.engine.association.detections import (
-    ASTRAY_WINDOWS,
+    CLOCK_OFF_WINDOWS,
     FLAT_ORIGINS,
     NUMBERED_REACH_NS,
     Associator,
@@ -302,7 +302,7 @@ def test_a_reception_within_three_windows_may_be_the_same_transmission(
 ) -> None:
     associator = standing()
     heard(associator, "a", 5 * S)
-    heard(associator, "b", 5 * S + later * (ASTRAY_WINDOWS * WINDOW_NS + off_ns))
+    heard(associator, "b", 5 * S + later * (CLOCK_OFF_WINDOWS * WINDOW_NS + off_ns))
     found = next(d for d in closed(associator) if d.t_ns == 5 * S)
     assert found.robots == (("a", "c") if absent else ROBOTS)
     assert found.position_m[-1].tolist() == [3.0, 30.0] and found.heading_deg[-1] == 90.0
@@ -326,7 +326,7 @@ def test_receptions_of_different_frames_are_not_one_transmission(
 def test_a_neighbour_counts_before_and_after_it_is_closed(first_is_closed: bool) -> None:
     """Looked at every tenth of a second, neither of two neighbours is forgotten before the other is judged."""
     associator = standing()
-    late_ns = ASTRAY_WINDOWS * WINDOW_NS
+    late_ns = CLOCK_OFF_WINDOWS * WINDOW_NS
     heard(associator, "a" if first_is_closed else "b", 5 * S)
     heard(associator, "b" if first_is_closed else "a", 5 * S + late_ns)
     found: list[Detection] = []
@@ -344,7 +344,7 @@ def test_what_is_closed_is_forgotten_after_twice_the_reach() -> None:
     now_ns = 24 * S + WINDOW_NS
     closed(associator, now_ns)
     until_ns = now_ns - LATENESS_NS - WINDOW_NS
-    since_ns = until_ns - 2 * ASTRAY_WINDOWS * WINDOW_NS
+    since_ns = until_ns - 2 * CLOCK_OFF_WINDOWS * WINDOW_NS
     kept = [group.t_ns for group in associator._closed]
     assert kept == list(range(since_ns, until_ns + 1, 2 * WINDOW_NS)), "to the nanosecond"
     assert closed(associator, 60 * S) and associator._closed == [] and associator._open == []

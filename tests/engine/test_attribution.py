@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, starts
 from fieldkit.engine.belief.intensity.candidate import Candidate
-from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
+from fieldkit.engine.belief.intensity.responsibilities import Attribution, attribute
 from fieldkit.engine.planning import path_loops
 from fieldkit.tuning import IntensityTuning
 
@@ -37,7 +37,7 @@ def some_candidates(rng: np.random.Generator, count: int, detections: int) -> li
         for number in range(detections):
             if rng.random() < 0.8:
                 candidate.know(number, rng.normal(-12, 4, (levels, points)))
-                candidate.set_share(number, float(rng.uniform(0, 1 / count)))
+                candidate.set_responsibility(number, float(rng.uniform(0, 1 / count)))
         result.append(candidate)
     return result
 
@@ -55,15 +55,17 @@ def plain_pass(
         near = [(c, seen) for c, seen in zip(candidates, mean_exposure_s, strict=True) if number in c.logs]
         terms = [log_unknown[k], log_clutter[k]]
         for candidate, seen in near:
-            others = candidate.receptions - candidate.share[number]
-            without = candidate.log_posterior() - candidate.share[number] * candidate.logs[number].array
+            others = candidate.receptions - candidate.responsibility[number]
+            without = (
+                candidate.log_posterior() - candidate.responsibility[number] * candidate.logs[number].array
+            )
             predicted = logsumexp(without + candidate.logs[number].array) - logsumexp(without)
             terms.append(np.log((TUNING.rate_shape + others) / (PRIOR_S + seen)) + predicted)
         shares = np.exp(terms - logsumexp(terms))
         unclaimed.append(float(shares[0]) if near else 1.0)
         explained.append(float(logsumexp(terms[1:])))
         for (candidate, _), share in zip(near, shares[2:], strict=True):
-            candidate.set_share(number, float(share))
+            candidate.set_responsibility(number, float(share))
     return unclaimed, explained
 
 
@@ -76,8 +78,8 @@ def test_a_pass_shares_detections_out_as_plain_numpy_does(seed: int, count: int,
     numbers = list(range(detections))
     unknown, clutter = rng.normal(-14, 3, detections), rng.normal(-18, 1, detections)
     seen = rng.uniform(0, 200, count)
-    left = Shares(np.ones(detections), clutter.copy())
-    share_out(
+    left = Attribution(np.ones(detections), clutter.copy())
+    attribute(
         ours[0].arena if ours else Arena(),
         ours,
         numbers,
@@ -94,7 +96,7 @@ def test_a_pass_shares_detections_out_as_plain_numpy_does(seed: int, count: int,
     assert left.unclaimed == pytest.approx(unclaimed, abs=1e-4)
     assert left.explained == pytest.approx(explained, abs=1e-4)
     for one, other in zip(ours, twins, strict=True):
-        assert one.share == pytest.approx(other.share, abs=1e-4)
+        assert one.responsibility == pytest.approx(other.responsibility, abs=1e-4)
         assert one.evidence == pytest.approx(other.evidence, abs=3e-3)
 
 

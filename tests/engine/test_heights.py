@@ -155,7 +155,7 @@ def test_a_planned_path_is_heard_from_as_far_as_exposure_is() -> None:
         assert far2[0] >= 100.0
 
 
-def test_a_deaf_robots_own_threshold_makes_its_silence_say_less() -> None:
+def test_an_insensitive_robots_own_threshold_makes_its_silence_say_less() -> None:
     def exposed(receivers):
         belief = IntensityBelief(
             EngineSettings(

@@ -226,7 +226,7 @@ def test_same_calls_give_the_same_digest_and_others_another() -> None:
 
 
 def test_cost_does_not_grow_with_the_number_of_detections() -> None:
-    """Old detections are folded into their sources; the find stays, and so does its count."""
+    """Old detections are marginalised into their sources; the find stays, and so does its count."""
     few = Tuning().with_tables({"intensity": {"max_open": 20}})
     belief = IntensityBelief(replace(FIELD, tuning=few))
     feed(belief, [((3.0, 4.0), 0.0)], np.random.default_rng(4), 60)

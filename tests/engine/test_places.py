@@ -281,14 +281,14 @@ def test_a_source_heard_often_makes_no_other_be_forgotten():
     assert most.p_exists > 0.99
     # Its detections are open still: it can be divided, re-estimated and merged.
     kept = next(c for c in belief.candidates if c.ident == most.ident)
-    assert kept.receptions - kept.absorbed > 6.0
+    assert kept.receptions - kept.frozen_receptions > 6.0
 
 
-def test_what_was_folded_goes_on_vouching_for_a_source():
+def test_frozen_detections_still_count_as_evidence_for_a_source():
     belief, _ = fed(1, n=12, settings=engine(spread=None, found_within_m=None))
     (candidate,) = [c for c in belief.candidates if c.receptions > 3.0]
     before = next(each.p_exists for each in belief.sources() if each.ident == candidate.ident)
-    for number in list(candidate.share):
+    for number in list(candidate.responsibility):
         candidate.forget(number)
     after = next(each.p_exists for each in belief.sources() if each.ident == candidate.ident)
     assert after == pytest.approx(before, abs=1e-12) and before > 0.99

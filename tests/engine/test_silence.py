@@ -66,20 +66,20 @@ def test_one_that_moved_keeps_both_places_and_says_so() -> None:
     assert abs(old.east_m - 3.0) < 1.0 and abs(new.east_m - 9.0) < 1.0
 
 
-def test_two_equal_candidates_are_one_even_after_their_detections_were_folded() -> None:
+def test_two_equal_candidates_are_one_even_after_their_detections_were_frozen() -> None:
     world = Searched()
     world.go(16, (6.0, 6.0), (6.0, 6.0))
     mixture = world.belief.mixture
     (first,) = [each for each in mixture.candidates if each.receptions > 3.0]
     twin = first.copy()
     twin.ident = mixture.next_ident()
-    half = {number: share / 2.0 for number, share in first.share.items()}
+    half = {number: share / 2.0 for number, share in first.responsibility.items()}
     for candidate in (first, twin):
-        candidate.set_shares(list(half), list(half.values()))
+        candidate.set_responsibilities(list(half), list(half.values()))
         for number in list(half)[:6]:
             candidate.forget(number)
     mixture.candidates.append(twin)
-    assert twin.absorbed > 1.0
+    assert twin.frozen_receptions > 1.0
     together = first.receptions + twin.receptions
     assert merged_gain(first, twin) > 0.0
     assert merge(mixture)

@@ -1,4 +1,4 @@
-"""Receivers against each other: a shifted one is named and corrected, a deaf one is named and its silence left out."""
+"""Receivers against each other: a shifted one is corrected, an insensitive one's silence left out; both are named."""
 
 import numpy as np
 import pytest
@@ -16,13 +16,15 @@ SOURCE = np.array([9.0, 11.0])
 S = 1_000_000_000
 
 
-def heard(seed: int, *, offset_db=(0.0, 0.0, 0.0), deaf: str = "", packets: int = 40, power_db: float = 0.0):
+def heard(
+    seed: int, *, offset_db=(0.0, 0.0, 0.0), insensitive: str = "", packets: int = 40, power_db: float = 0.0
+):
     belief, rng, said = IntensityBelief(FIELD), np.random.default_rng(seed), []
     for k in range(packets):
         place = rng.uniform(4.0, 16.0, (3, 2))
         z = RADIO.mean_rss_dbm(np.hypot(*(place - SOURCE).T), power_db) + rng.normal(0.0, 3.0, 3)
         z = np.where(np.round(z) > RADIO.threshold_dbm, np.round(z) + offset_db, np.nan)
-        z = np.where(np.array(ROBOTS) == deaf, np.nan, z)
+        z = np.where(np.array(ROBOTS) == insensitive, np.nan, z)
         belief.listen(Listening(20 * k * S, 20 * (k + 1) * S, ROBOTS, place))
         belief.detect(Detection(20 * k * S, ROBOTS, place, np.zeros(3), z, np.zeros(3, bool)))
         said += belief.said()
@@ -42,8 +44,8 @@ def test_a_shifted_receiver_is_named_and_its_offset_learnt(offset_db: float) -> 
     assert belief.mixture.ears.receivers["b"].offset_db == belief.mixture.watch.of["b"].offset_db
 
 
-def test_a_deaf_receiver_is_named_and_its_silence_left_out() -> None:
-    belief, said = heard(1, deaf="c")
+def test_an_insensitive_receiver_is_named_and_its_silence_left_out() -> None:
+    belief, said = heard(1, insensitive="c")
     assert said == [text for text in said if text.startswith("c: heard 0 of ")] and len(said) == 1
     before = belief.exposure_s.sum()
     belief.listen(Listening(0, 100 * S, ("c",), np.array([[5.0, 5.0]])))
@@ -52,8 +54,8 @@ def test_a_deaf_receiver_is_named_and_its_silence_left_out() -> None:
     assert "c" not in last.robots
 
 
-def test_a_deaf_receiver_that_hears_again_counts_again() -> None:
-    belief, said = heard(1, deaf="c")
+def test_an_insensitive_receiver_that_hears_again_counts_again() -> None:
+    belief, said = heard(1, insensitive="c")
     rng = np.random.default_rng(9)
     for k in range(80):
         place = rng.uniform(4.0, 16.0, (3, 2))
@@ -61,7 +63,7 @@ def test_a_deaf_receiver_that_hears_again_counts_again() -> None:
         belief.detect(Detection((2000 + k) * S, ROBOTS, place, np.zeros(3), z, np.zeros(3, bool)))
         said += belief.said()
     assert any(text.startswith("c: hears again") for text in said)
-    assert not belief.mixture.watch.of["c"].deaf
+    assert not belief.mixture.watch.of["c"].insensitive
 
 
 def test_sources_that_all_read_stronger_than_was_told_are_said_once() -> None:

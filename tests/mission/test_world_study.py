@@ -45,7 +45,7 @@ def test_a_lobe_is_seen_from_all_round() -> None:
     assert gain.max() == pytest.approx(6.0, abs=0.1) and gain.min() == pytest.approx(-6.0, abs=0.1)
 
 
-@pytest.mark.parametrize("name", ["2 of 4 sources 2 m outside", "a deaf receiver", "a jump of 5 m"])
+@pytest.mark.parametrize("name", ["2 of 4 sources 2 m outside", "an insensitive receiver", "a jump of 5 m"])
 def test_a_mission_in_a_disturbed_world_gives_its_figures(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(world, "CAP_S", 60.0)
     result = world.run(1, 0, lambda share, text: None, only=name, workers=1)

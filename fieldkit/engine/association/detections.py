@@ -26,7 +26,7 @@ NUMBERED_REACH_NS = 500_000_000
 """How far apart in time receptions of one numbered frame may be: far under the 256 frames after which numbers recur."""
 FLAT_ORIGINS = ("camera", "file")
 """Sources of positions that may tell no height; then it is nought."""
-ASTRAY_WINDOWS = 3
+CLOCK_OFF_WINDOWS = 3
 """A reception up to so many windows away may belong to the same transmission, heard by a clock that is off."""
 
 
@@ -200,7 +200,7 @@ class Associator:
         )
         self._open = [g for g in self._open if g.t_ns + self._window_ns > horizon_ns]
         self._closed_ns = max(self._closed_ns, horizon_ns - self._window_ns)
-        reach_ns = ASTRAY_WINDOWS * self._window_ns
+        reach_ns = CLOCK_OFF_WINDOWS * self._window_ns
         # Old ones go only afterwards: after a long time without a look, what closes now needs them still.
         self._closed += ready
         detections = [detection for group in ready if (detection := self._detection(group)) is not None]
@@ -247,7 +247,7 @@ class Associator:
 
     def _out_of_step(self, group: _Group) -> set[str]:
         """Robots that heard something near in time which may have been this transmission."""
-        reach_ns = ASTRAY_WINDOWS * self._window_ns
+        reach_ns = CLOCK_OFF_WINDOWS * self._window_ns
         return {
             robot
             for other in (*self._closed, *self._open)

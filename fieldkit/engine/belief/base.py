@@ -37,7 +37,7 @@ class SayingBelief(Protocol):
     """A belief that has something to say: of the receivers, and for which sources `probability_left` holds."""
 
     def said(self) -> list[str]:
-        """What is new to say of the receivers since this was last asked: which is deaf, which reports too much."""
+        """What is new to say of the receivers since this was last asked: which hears too little or reports too much."""
         ...
 
     def left_words(self) -> str:

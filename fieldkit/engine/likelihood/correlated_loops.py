@@ -159,13 +159,13 @@ def log_marginal(
     prior = precision.copy()
     log_prior = _cholesky(prior, p)
     constant = 0.0
-    told = np.empty(n)
+    whitened = np.empty(n)
     for k in range(n):
         value = level[k]
         for i in range(m):
             if neighbours[k, i] >= 0:
                 value -= weights[k, i] * level[neighbours[k, i]]
-        told[k] = value / deviation[k]
+        whitened[k] = value / deviation[k]
         constant += 2.0 * math.log(deviation[k]) + math.log(2.0 * math.pi)
     matrix = np.empty((p, p))
     right = np.empty(p)
@@ -185,8 +185,8 @@ def log_marginal(
                 if other >= 0:
                     for i in range(p):
                         white[i] -= weights[k, q] * feature[other, i]
-            # Against the prior's mean: differences of large numbers would lose what is told.
-            off = told[k]
+            # Against the prior's mean: differences of large numbers would lose precision.
+            off = whitened[k]
             for i in range(p):
                 white[i] /= deviation[k]
                 off -= white[i] * mean[i]

@@ -43,7 +43,7 @@ class Ears:
     point_sigma_m: float = 0.05
     """Half a point of the belief's cloud, as a deviation."""
     pose_sigma_m: float = 0.0
-    """Deviation of a position that tells none, or a smaller one."""
+    """Deviation of a position that states none, or a smaller one."""
 
     @property
     def law(self) -> FloatArray:
@@ -88,8 +88,10 @@ class Ears:
         if heading_deg.size:
             ears[:, HEADING] = np.radians(heading_deg)
         ears[:, THRESHOLD] = [self._threshold_dbm(robot) for robot in robots]
-        told = np.maximum(sigma_m, self.pose_sigma_m) if sigma_m.size else np.full(m, self.pose_sigma_m)
-        ears[:, SIGMA] = np.hypot(told, self.point_sigma_m)
+        deviation_m = (
+            np.maximum(sigma_m, self.pose_sigma_m) if sigma_m.size else np.full(m, self.pose_sigma_m)
+        )
+        ears[:, SIGMA] = np.hypot(deviation_m, self.point_sigma_m)
         return ears
 
     def of_detection(self, detection: Detection) -> FloatArray:

@@ -153,10 +153,10 @@ def _two_places(packets: Packets, group: IntArray, radio: Radio, ground: Ground)
         second = first
         for _ in range(PLACE_ROUNDS):
             first, second = second, int(np.argmax(np.log(like + like[:, first, None]).sum(axis=0)))
-        told = by_packet[:, first] > by_packet[:, second]
+        first_sent = by_packet[:, first] > by_packet[:, second]
         # Packets that were left out follow the nearest in time that was not.
         nearest = np.clip(np.searchsorted(chosen, group), 0, chosen.size - 1)
-        guess = told[nearest]
+        guess = first_sent[nearest]
         if FEWEST_PACKETS <= guess.sum() <= guess.size - FEWEST_PACKETS:
             found.append(guess)
     return found

@@ -58,7 +58,9 @@ class Reward:
         self._newly_heard(track_m[None], np.ones(1), ears)
         self._planned_s += self._scratch
         for index, candidate in enumerate(self.unresolved):
-            self._learnt[index] = self._learnt[index] + self._told_of(candidate, track_m[None], ears)[0]
+            self._learnt[index] = (
+                self._learnt[index] + self._information_of(candidate, track_m[None], ears)[0]
+            )
         before = self._taken_m
         self._taken_m = track_m if before is None else np.concatenate([before, track_m], axis=1)
 
@@ -69,9 +71,9 @@ class Reward:
         """
         total = self._newly_heard(tracks_m, self._clear(tracks_m), ears)
         for candidate, before in zip(self.unresolved, self._learnt, strict=True):
-            told = self._told_of(candidate, tracks_m, ears)
-            gained = self._progress(candidate, before + told) - self._progress(candidate, before[None])
-            total += np.where(told[:, 0] > 1e-3, gained, 0.0)
+            information = self._information_of(candidate, tracks_m, ears)
+            gained = self._progress(candidate, before + information) - self._progress(candidate, before[None])
+            total += np.where(information[:, 0] > 1e-3, gained, 0.0)
         return total
 
     def _clear(self, tracks_m: FloatArray) -> FloatArray:
@@ -101,9 +103,9 @@ class Reward:
         )
         return gain
 
-    def _told_of(self, candidate: Unresolved, tracks_m: FloatArray, ears: FloatArray) -> FloatArray:
+    def _information_of(self, candidate: Unresolved, tracks_m: FloatArray, ears: FloatArray) -> FloatArray:
         """(n, 4) exposure and information per unit rate that tracks (n, steps, m, 2) give of a candidate."""
-        told = np.empty((len(tracks_m), 4))
+        information = np.empty((len(tracks_m), 4))
         path_loops.all_information(
             tracks_m,
             self._tuning.step_s,
@@ -113,12 +115,12 @@ class Reward:
             self._model.step2_m2,
             MIN_RANGE_M,
             ears,
-            told,
+            information,
         )
-        return told
+        return information
 
-    def _progress(self, candidate: Unresolved, told: FloatArray) -> FloatArray:
-        """(n,) worth of what is known of a candidate after it has told this: (n, 4) exposure and information."""
+    def _progress(self, candidate: Unresolved, information: FloatArray) -> FloatArray:
+        """(n,) worth of what is known of a candidate given this (n, 4) exposure and information."""
         rate = candidate.rate_hz
         antenna = self._settings.antenna
         cell_m = self._settings.find_radius_m or self._settings.grid.cell_m
@@ -127,9 +129,9 @@ class Reward:
         ee, en, nn = candidate.cov_m2[0, 0] + floor, candidate.cov_m2[0, 1], candidate.cov_m2[1, 1] + floor
         det = ee * nn - en * en
         ee, en, nn = (
-            nn / det + scale * told[:, 1],
-            scale * told[:, 2] - en / det,
-            ee / det + scale * told[:, 3],
+            nn / det + scale * information[:, 1],
+            scale * information[:, 2] - en / det,
+            ee / det + scale * information[:, 3],
         )
         # Receptions still needed grow with the precision still missing: so counted, a candidate that is nearly
         # resolved is worth finishing before driving to the next. Eigenvalues of the precision, closed form.
@@ -138,7 +140,7 @@ class Reward:
         middle, half = (ee + nn) / 2.0, np.hypot((ee - nn) / 2.0, en)
         done = (np.minimum((middle - half) * target, 1.0) + np.minimum((middle + half) * target, 1.0)) / 2.0
         missing = max(1.0, self._settings.min_receptions - candidate.receptions)
-        received = 1.0 - np.exp(-rate * told[:, 0] / missing)
+        received = 1.0 - np.exp(-rate * information[:, 0] / missing)
         if only_place:
             worth = self._tuning.settle_value * (1.0 - candidate.p_here)
         else:

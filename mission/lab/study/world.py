@@ -1,6 +1,6 @@
 """Missions in a world that is not what the engine believes: each row one thing that real fields have.
 
-`fieldkit study world --missions 30 [--only WORDS]`. The trust study's scenario; the engine is told what a mission file
+`fieldkit study world --missions 30 [--only WORDS]`. The trust study's scenario; the engine is given what a mission file
 would be: a radio whose place noise nobody measured, and GNSS as bad as it says. A source is found when a find lies
 within `FOUND_WITHIN_M` of where it then is; a find further than twice that from every source, in the field or outside,
 is false unless it is flagged as gone silent.
@@ -51,7 +51,7 @@ class Scenario:
     receivers_db: tuple[float, ...] = ()
     """Gain of the receivers by heading, unknown to the engine."""
     power_over_db: float = 0.0
-    """Powers are anywhere in such a range, and none is told."""
+    """Powers are anywhere in such a range, and none is known."""
     wander_m: float = 0.0
     rates: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """Of the reference rate."""
@@ -65,15 +65,15 @@ SCENARIOS = (
     Scenario(
         "one false packet a minute at two robots", Disturbances(foreign_hz=1.0 / 60.0, foreign_robots=2)
     ),
-    Scenario("a deaf receiver", Disturbances(deaf=(2,))),
+    Scenario("an insensitive receiver", Disturbances(insensitive=(2,))),
     Scenario("bursts", burst_s=(60.0, 660.0), rates=(20.0, 20.0, 20.0, 20.0)),
     Scenario("rates 100 times apart", rates=(20.0, 20.0, 0.2, 0.2)),
     Scenario("a walk of 0.05 m/s", Disturbances(walk_m_s=0.05)),
     Scenario("a jump of 5 m", Disturbances(jump_m=5.0, jump_s=700.0)),
-    Scenario("positions wander by 2 m, told", wander_m=2.0),
+    Scenario("positions wander by 2 m, stated", wander_m=2.0),
     Scenario("receivers 6 dB apart, calibrated", offset_db=6.0, calibrated=True),
     Scenario("receivers 6 dB apart, not calibrated", offset_db=6.0),
-    Scenario("power anywhere in 20 dB, not told", power_over_db=20.0),
+    Scenario("power anywhere in 20 dB, not known", power_over_db=20.0),
     Scenario("transmitters with 12 dB front to back", Disturbances(lobe_db=LOBE_DB)),
     Scenario("transmitters with ripple and a null", Disturbances(lobe_db=RIPPLE_DB)),
     Scenario("receivers with ripple and a null", receivers_db=RIPPLE_DB),
@@ -112,8 +112,8 @@ class Job:
         )
 
 
-def told(job: Job, offset_db: tuple[float, ...]) -> EngineSettings:
-    """What the engine is told."""
+def engine_settings(job: Job, offset_db: tuple[float, ...]) -> EngineSettings:
+    """What the engine is given."""
     from fieldkit.channel.antenna_file import Receiver
 
     what, engine = job.scenario, settings(job.seed)
@@ -159,7 +159,7 @@ def trial(job: Job) -> dict[str, Any]:
             for k, s in enumerate(sources)
         ]
 
-    run = KernelSettings(told(job, offset_db), max_duration_s=CAP_S, sources_expected=10**6)
+    run = KernelSettings(engine_settings(job, offset_db), max_duration_s=CAP_S, sources_expected=10**6)
     result = simulate(run, truth, job.seed, on_step=Sometimes(watch))
     belief, at_end = result.kernel.belief, _now(result.elapsed_s)
     assert isinstance(belief, IntensityBelief)

@@ -54,12 +54,12 @@ class IntensityBelief:
         self.reflect()
 
     def detect_all(self, detections: Sequence[Detection]) -> None:
-        """Take in several with one look at who sent what; hypotheses are told by `reflect`."""
+        """Take in several with one look at who sent what; `reflect` re-estimates hypotheses."""
         self.mixture.detect(detections)
         self._judge()
 
     def reflect(self) -> bool:
-        """Tell the hypothesis of a candidate afresh where that is due; whether another hypothesis was better."""
+        """Re-estimate a candidate's hypothesis where that is due; whether another hypothesis was better."""
         changed = self.mixture.reflect()
         if changed is not None:
             self._judge()
@@ -150,7 +150,11 @@ class IntensityBelief:
         """Mean squared standardised residual of the readings it claims, at the most probable place and power."""
         log = candidate.log_posterior()[:-1]
         level, index = np.unravel_index(int(np.argmax(log)), log.shape)
-        claimed = [self.mixture.open[number] for number, share in candidate.share.items() if share >= 0.5]
+        claimed = [
+            self.mixture.open[number]
+            for number, responsibility in candidate.responsibility.items()
+            if responsibility >= 0.5
+        ]
         if not claimed:
             return 0.0, 0
         if self.mixture.places is not None:
@@ -192,7 +196,7 @@ class IntensityBelief:
                     rate_hz=(self._tuning.rate_shape + candidate.receptions)
                     / (self.mixture.rate_prior_s + summary.exposure_s),
                     p_exists=1.0
-                    - float(np.prod([1.0 - min(share, 1.0 - 1e-9) for share in candidate.share.values()]))
+                    - float(np.prod([1.0 - min(r, 1.0 - 1e-9) for r in candidate.responsibility.values()]))
                     * float(np.exp(candidate.log_absent)),
                     p_here=summary.p_here,
                     state=candidate.state,  # type: ignore[arg-type]
@@ -342,16 +346,16 @@ class IntensityBelief:
         return result
 
     def digest(self) -> bytes:
-        """SHA-256 over exposure and every candidate's cloud, evidence and shares."""
+        """SHA-256 over exposure and every candidate's cloud, evidence and responsibilities."""
         state = hashlib.sha256(self.exposure_s.tobytes())
         for candidate in self.candidates:
             two_source = candidate.two_source.probability if candidate.two_source is not None else 0.0
             state.update(
-                f"{candidate.ident} {candidate.state} {candidate.absorbed!r} {two_source!r}".encode()
+                f"{candidate.ident} {candidate.state} {candidate.frozen_receptions!r} {two_source!r}".encode()
             )
             state.update(candidate.points_m.tobytes())
             state.update(candidate.evidence.tobytes())
-            state.update(repr(sorted(candidate.share.items())).encode())
+            state.update(repr(sorted(candidate.responsibility.items())).encode())
         return state.digest()
 
 

@@ -43,20 +43,20 @@ def birth(mixture: "Mixture") -> bool:
     for number, stored in mixture.open.items():
         if number in mixture.named or not mixture.in_reach(candidate, stored):
             continue
-        # With place noise each is told given those claimed before it: as independent witnesses they would
+        # With place noise each is conditioned on those claimed before it: as independent witnesses they would
         # rule out ground that is not to be had back.
         candidate.know(number, mixture.log_likelihood(candidate, number))
         row0, row1, column0, column1 = stored.box
         if row0 <= row < row1 and column0 <= column < column1:
             like = stored.like.array[level, (row - row0) * (column1 - column0) + column - column0]
             ratio = rate * like * np.exp(stored.log_scale - mixture.explained[number])
-            candidate.set_share(number, float(ratio / (1.0 + ratio)))
+            candidate.set_responsibility(number, float(ratio / (1.0 + ratio)))
     if candidate.receptions < mixture.tuning.death_receptions:
         return False
-    for number, share in candidate.share.items():
+    for number, responsibility in candidate.responsibility.items():
         for other in mixture.candidates:
-            if share > 0.0 and number in other.share:
-                other.set_share(number, other.share[number] * (1.0 - share))
+            if responsibility > 0.0 and number in other.responsibility:
+                other.set_responsibility(number, other.responsibility[number] * (1.0 - responsibility))
     mixture.forget_summaries()
     mixture.candidates.append(candidate)
     at = float(mixture.grid.east_m[column]), float(mixture.grid.north_m[row])
@@ -113,19 +113,19 @@ def new_candidate(
 
 
 def refine(mixture: "Mixture", candidate: Candidate) -> None:
-    """Tell a candidate that has become small on four points for each of its own; its shares stay."""
+    """Give a candidate that has become small four points for each of its own; its responsibilities stay."""
     half = candidate.spacing_m / 2
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]]) * half
     candidate.points_m = np.ascontiguousarray((candidate.points_m[:, None, :] + corners).reshape(-1, 2))
     candidate.log_prior = np.repeat(candidate.log_prior - np.log(4.0), 4, axis=1)
-    # What has been folded in for good is known only on the old points.
-    candidate.evidence = np.repeat(candidate.folded(), 4, axis=1)
+    # What is frozen is known only on the old points.
+    candidate.evidence = np.repeat(candidate.frozen(), 4, axis=1)
     candidate.spacing_m = half
     candidate.expose(mixture.exposure_at(candidate.points_m))
-    for number, share in candidate.share.items():
+    for number, responsibility in candidate.responsibility.items():
         log = mixture.log_likelihood(candidate, number)
         candidate.know(number, log)
-        candidate.evidence += share * log
+        candidate.evidence += responsibility * log
 
 
 def claim_by_name(mixture: "Mixture", number: int, stored: "OpenDetection", name: str) -> None:
@@ -137,7 +137,7 @@ def claim_by_name(mixture: "Mixture", number: int, stored: "OpenDetection", name
         sender.name = name
         mixture.candidates.append(sender)
     sender.know(number, mixture.log_likelihood(sender, number))
-    sender.set_share(number, 1.0)
+    sender.set_responsibility(number, 1.0)
     mixture.unclaimed[number] = 0.0
     mixture.explained[number] = 50.0  # nobody else needs to explain it
     mixture.named.add(number)

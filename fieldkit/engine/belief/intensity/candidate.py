@@ -19,10 +19,10 @@ from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
 from fieldkit.messages import FloatArray
 from fieldkit.tuning import IntensityTuning
 
-NEGLIGIBLE_FOLDED = 3.0
+NEGLIGIBLE_FROZEN = 3.0
 """By so many nats a point that was dropped is less probable than the least of those that were kept."""
 SHARED_LEAST = 0.2
-"""An error of positions that is less than this share of what is asked is left out."""
+"""An error of positions that is less than this part of what is asked is left out."""
 ACTIVE_NATS = 40.0
 """A detection may lower an entry by this much and still have it count when it is left out."""
 
@@ -41,7 +41,7 @@ def log_sum(logs: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoSource:
-    """The hypothesis that a candidate is two sources, while it cannot be told from that of one."""
+    """The hypothesis that a candidate is two sources, while it cannot be distinguished from that of one."""
 
     probability: float
     places_m: FloatArray
@@ -65,20 +65,20 @@ class Candidate:
     spacing_m: float
     """Between neighbouring points."""
     arena: Arena
-    """Where log-likelihoods are kept: one for all candidates that share detections out among them."""
+    """Where log-likelihoods are kept: one for all candidates that attribute detections among them."""
     tuning: IntensityTuning
     evidence: FloatArray = field(init=False)
-    """(h, n) sum of share times log-likelihood."""
+    """(h, n) sum of responsibility times log-likelihood."""
     logs: dict[int, Row] = field(default_factory=dict)
     """Detection number to its log-likelihood over the cloud, for all detections that may be this source's."""
-    share: dict[int, float] = field(default_factory=dict)
+    responsibility: dict[int, float] = field(default_factory=dict)
     """Detection number to the probability that this source sent it."""
     rate_trust: float = 1.0
     """How much its number of receptions says of how far it is heard: less where they were made at few places."""
     based_on: dict[int, list[int]] = field(default_factory=dict)
     """Detection number to the earlier ones its log-likelihood is conditioned on; empty without place noise."""
-    absorbed: float = 0.0
-    """Receptions whose likelihoods have been folded into the evidence for good."""
+    frozen_receptions: float = 0.0
+    """Receptions that are marginalised: their likelihoods are in the evidence for good."""
     log_absent: float = 0.0
     """log P(it sent none of those): what its existence rests on does not go with them."""
     first_ns: int | None = None
@@ -91,7 +91,7 @@ class Candidate:
     """Receptions when its place first became certain enough, since it last was not."""
     two_source: TwoSource | None = None
     name: str = ""
-    """The address it sends under, where sources are told by it."""
+    """The address it sends under, where sources are distinguished by it."""
     state: str = "candidate"
     note: str = ""
 
@@ -101,9 +101,9 @@ class Candidate:
         self.expose(self.exposure_s)
 
     def copy(self) -> "Candidate":
-        """Another that shares the arrays but claims for itself."""
+        """Another that has the same arrays but claims for itself."""
         other = copy.copy(self)
-        other.logs, other.share = dict(self.logs), dict(self.share)
+        other.logs, other.responsibility = dict(self.logs), dict(self.responsibility)
         other.based_on = dict(self.based_on)
         other.evidence = self.evidence.copy()
         return other
@@ -113,7 +113,7 @@ class Candidate:
         """Expected number of receptions it has sent."""
         if self._receptions is None:
             # Python's own sum rounds differently from 3.12 on; a replay must not.
-            self._receptions = self.absorbed + math.fsum(self.share.values())
+            self._receptions = self.frozen_receptions + math.fsum(self.responsibility.values())
         return self._receptions
 
     def log_posterior(self) -> FloatArray:
@@ -146,37 +146,46 @@ class Candidate:
         return log_sum(self.log_posterior()) + float(rate)
 
     def know(self, number: int, log_likelihood: FloatArray) -> None:
-        """Have a detection at hand that this source may have sent; its share is 0 until claimed."""
+        """Have a detection at hand that this source may have sent; its responsibility is 0 until claimed."""
         self.logs[number] = self.arena.put(log_likelihood)
-        self.share.setdefault(number, 0.0)
+        self.responsibility.setdefault(number, 0.0)
 
-    def set_share(self, number: int, share: float) -> None:
+    def set_responsibility(self, number: int, responsibility: float) -> None:
         """Claim a detection with this probability."""
-        self.evidence += (share - self.share[number]) * self.logs[number].array
-        self.share[number] = share
+        self.evidence += (responsibility - self.responsibility[number]) * self.logs[number].array
+        self.responsibility[number] = responsibility
         self._receptions = None
 
-    def set_shares(self, numbers: Sequence[int], shares: Sequence[float]) -> None:
+    def set_responsibilities(self, numbers: Sequence[int], responsibilities: Sequence[float]) -> None:
         """Claim each of several detections with its probability, at once."""
         loops.add_rows(
             self.arena.values,
             starts([self.logs[number] for number in numbers]),
-            np.array([share - self.share[number] for number, share in zip(numbers, shares, strict=True)]),
+            np.array(
+                [
+                    responsibility - self.responsibility[number]
+                    for number, responsibility in zip(numbers, responsibilities, strict=True)
+                ]
+            ),
             self.evidence.reshape(-1),
         )
-        self.share.update(zip(numbers, shares, strict=True))
+        self.responsibility.update(zip(numbers, responsibilities, strict=True))
         self._receptions = None
 
     def mean_exposure_s(self, posterior: FloatArray) -> float:
         return float((posterior * self.exposure_s).sum())
 
-    def folded(self) -> FloatArray:
-        """(h, n) what the evidence has from detections that have been folded into it for good."""
-        claimed = (share * self.logs[number].array for number, share in self.share.items() if share > 0.0)
+    def frozen(self) -> FloatArray:
+        """(h, n) what the evidence has from detections that are marginalised."""
+        claimed = (
+            responsibility * self.logs[number].array
+            for number, responsibility in self.responsibility.items()
+            if responsibility > 0.0
+        )
         return np.asarray(self.evidence - sum(claimed, start=np.zeros_like(self.evidence)))
 
-    def take_over_folded(self, other: "Candidate") -> None:
-        """Add what another has folded in, at its points nearest to one's own.
+    def take_in_frozen(self, other: "Candidate") -> None:
+        """Add the marginalised evidence of another, at its points nearest to one's own.
 
         Points that the other has dropped are as good as impossible to it.
         """
@@ -186,11 +195,11 @@ class Candidate:
         )
         nearest = away.argmin(axis=1)
         far = away.min(axis=1) > max(self.spacing_m, other.spacing_m)
-        theirs = other.folded()
+        theirs = other.frozen()
         self.evidence += np.where(
-            far[None], theirs.min(axis=1)[:, None] - NEGLIGIBLE_FOLDED, theirs[:, nearest]
+            far[None], theirs.min(axis=1)[:, None] - NEGLIGIBLE_FROZEN, theirs[:, nearest]
         )
-        self.absorbed += other.absorbed
+        self.frozen_receptions += other.frozen_receptions
         self.log_absent += other.log_absent
         self._receptions = None
 
@@ -211,11 +220,11 @@ class Candidate:
             self.logs[number] = self.arena.put(row.array[:, keep])
 
     def forget(self, number: int) -> None:
-        """Fold a detection into the evidence for good: its share is final."""
+        """Marginalise a detection: its likelihood stays in the evidence, and its responsibility is final."""
         if number in self.logs:
-            share = self.share.pop(number)
-            self.absorbed += share
-            self.log_absent += math.log1p(-min(share, 1.0 - 1e-9))
+            responsibility = self.responsibility.pop(number)
+            self.frozen_receptions += responsibility
+            self.log_absent += math.log1p(-min(responsibility, 1.0 - 1e-9))
             del self.logs[number]
             self.based_on.pop(number, None)
             self._receptions = None
@@ -233,7 +242,7 @@ class Summary:
     exposure_s: float
     p_in_field: float
     shared_sigma_m: float
-    """How far the positions that told of it may be off together: what no number of readings of a minute mends."""
+    """How far the positions it was heard from may be off together: what no number of readings of a minute mends."""
 
 
 def summarise(
@@ -248,7 +257,7 @@ def summarise(
 ) -> Summary:
     """Mean place, covariance, and the probability of being within one cell (or a radius) of the mean.
 
-    `shared_sigma_m` is by how much all positions that told of it may be off together. `power_db` (h - 1,) of the
+    `shared_sigma_m` is by how much all positions it was heard from may be off together. `power_db` (h - 1,) of the
     fixed hypotheses; the varying one counts as their known mean. `in_field` (n,) says which points lie in the field;
     None: all.
     """
@@ -285,26 +294,34 @@ def merged_gain(
 ) -> float:
     """log evidence of `first` having sent all that both sent, over two sources having sent it.
 
-    Where shares are divided, the two-source hypothesis is credited with their entropy (the variational bound).
+    Where responsibilities are divided, the two-source hypothesis is credited with their entropy (variational bound).
 
-    `settle` tells the detections of one that claims them all given each other, as each of the two has told its own:
+    `settle` conditions the detections of one that claims them all on each other, as each of the two has its own:
     else what both heard at one place would count twice against there being one source.
     -inf where `first` has not got the other's detections at hand.
     """
-    claimed = {number: share for number, share in second.share.items() if share > 0.02}
+    claimed = {
+        number: responsibility
+        for number, responsibility in second.responsibility.items()
+        if responsibility > 0.02
+    }
     if any(number not in first.logs for number in claimed):
         return -np.inf
     apart = first.log_evidence() + second.log_evidence()
-    for number, share in claimed.items():
-        both = np.array([share, first.share[number]])
+    for number, responsibility in claimed.items():
+        both = np.array([responsibility, first.responsibility[number]])
         parts = both / both.sum()
         apart -= float(both.sum() * (parts * np.log(np.maximum(parts, 1e-12))).sum())
     both_sent = first.copy()
-    both_sent.set_shares(
-        list(claimed), [min(1.0, first.share[number] + share) for number, share in claimed.items()]
+    both_sent.set_responsibilities(
+        list(claimed),
+        [
+            min(1.0, first.responsibility[number] + responsibility)
+            for number, responsibility in claimed.items()
+        ],
     )
-    if second.absorbed > 0.0:
-        both_sent.take_over_folded(second)
+    if second.frozen_receptions > 0.0:
+        both_sent.take_in_frozen(second)
     if settle is not None:
         settle(both_sent)
     return both_sent.log_evidence() - apart

@@ -1,7 +1,7 @@
 """Estimating a candidate afresh, as one source and as two, and keeping the hypothesis with more evidence.
 
-Points dropped early and shares that vouch for each other can hold a candidate in a wrong place, or hold two near
-sources together: sweeps alone do not get out of that.
+Points dropped early and responsibilities that vouch for each other can hold a candidate in a wrong place, or hold
+two near sources together: sweeps alone do not get out of that.
 """
 
 import math
@@ -14,9 +14,9 @@ from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.births import new_candidate
 from fieldkit.engine.belief.intensity.candidate import Candidate, TwoSource
 from fieldkit.engine.belief.intensity.responsibilities import (
-    acquire_control,
+    claim_what_moved,
     entries_that_count,
-    known_shares,
+    known_responsibilities,
 )
 from fieldkit.engine.belief.intensity.silence import note_heard
 from fieldkit.engine.likelihood.places import redundancy
@@ -29,28 +29,29 @@ if TYPE_CHECKING:
 def revise(mixture: "Mixture") -> bool | None:
     """Re-estimate a candidate, as one source and as two; whether another hypothesis was better.
 
-    One candidate a call, None where no hypothesis is due. Points dropped early and shares that vouch for each other can
-    hold a candidate in a wrong place, or hold two near sources together. An inconsistent candidate is looked at again
-    soon, others ever more rarely. One and two are compared on a point a cell; the better one is then
-    estimated on the usual points.
+    One candidate a call, None where no hypothesis is due. An inconsistent candidate is looked at again soon,
+    others ever more rarely. One and two are compared on a point a cell; the better one is then estimated on the usual
+    points.
     """
     for candidate in mixture.candidates:
         due = mixture.revise_at.setdefault(candidate.ident, mixture.tuning.first_look)
-        if candidate.receptions >= due and any(share > 0.05 for share in candidate.share.values()):
+        if candidate.receptions >= due and any(
+            responsibility > 0.05 for responsibility in candidate.responsibility.values()
+        ):
             return _revise(mixture, candidate)
     return None
 
 
 def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     count, inconsistent = candidate.receptions, candidate.state == "inconsistent"
-    whole = _told(mixture, candidate)
-    share = _worth(mixture, whole)
-    blank = _fresh(mixture, candidate, share, most=mixture.tuning.compared_points)
+    whole = _re_estimated_from(mixture, candidate)
+    responsibility = _worth(mixture, whole)
+    blank = _fresh(mixture, candidate, responsibility, most=mixture.tuning.compared_points)
     single = blank.copy()
-    single.set_shares(list(share), list(share.values()))
-    pairs = [] if candidate.name else _two(mixture, blank, share)
-    scores = [_score(pair, share) for pair in pairs]
-    odds_nats = max(scores, default=-np.inf) - _score([single], share)
+    single.set_responsibilities(list(responsibility), list(responsibility.values()))
+    pairs = [] if candidate.name else _two(mixture, blank, responsibility)
+    scores = [_score(pair, responsibility) for pair in pairs]
+    odds_nats = max(scores, default=-np.inf) - _score([single], responsibility)
     undecided = odds_nats > mixture.tuning.undecided_nats
     candidate.two_source = None
     if pairs:
@@ -59,24 +60,27 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     mixture.revise_at[candidate.ident] = _next_look(mixture, count, odds_nats, inconsistent)
     if odds_nats > mixture.tuning.better_nats:
         best = pairs[int(np.argmax(scores))]
-        parts = [_re_estimated(mixture, candidate, _undone(part.share, share, whole)) for part in best]
+        parts = [
+            _re_estimated(mixture, candidate, _undone(part.responsibility, responsibility, whole))
+            for part in best
+        ]
     else:
         moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.field.cell_m
         if not (moved or inconsistent):
             return False
         parts = [_re_estimated(mixture, candidate, whole)]
-        if candidate.absorbed > 0.0:
-            parts[0].take_over_folded(candidate)
+        if candidate.frozen_receptions > 0.0:
+            parts[0].take_in_frozen(candidate)
         if _score(parts, whole) < _score([candidate], whole) + mixture.tuning.better_nats:
             return False
     mixture.remove(candidate)
     parts[0].ident = candidate.ident
     parts[0].state = candidate.state
     parts[0].name = candidate.name
-    told = math.fsum(part.receptions for part in parts)
+    attributed = math.fsum(part.receptions for part in parts)
     for part in parts:
-        # What has been folded in, and what was not told, counts for its rate still; its place is known from the rest.
-        part.absorbed = candidate.absorbed * part.receptions / told
+        # What is frozen, and what was left out, still counts for its rate; its place is known from the rest.
+        part.frozen_receptions = candidate.frozen_receptions * part.receptions / attributed
         part.log_absent = candidate.log_absent
         if len(parts) == 1:
             part.first_ns, part.last_ns = candidate.first_ns, candidate.last_ns
@@ -89,8 +93,8 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
 
 
 def _undone(part: dict[int, float], worth: dict[int, float], whole: dict[int, float]) -> dict[int, float]:
-    """A part's shares as they are without the discount for neighbours."""
-    return {number: share * whole[number] / worth[number] for number, share in part.items()}
+    """A part's responsibilities as they are without the discount for neighbours."""
+    return {number: responsibility * whole[number] / worth[number] for number, responsibility in part.items()}
 
 
 def _next_look(mixture: "Mixture", count: float, odds_nats: float, inconsistent: bool) -> float:
@@ -104,19 +108,25 @@ def _next_look(mixture: "Mixture", count: float, odds_nats: float, inconsistent:
     return (4.0 if count > mixture.tuning.re_estimated_from else 2.0) * count
 
 
-def _told(mixture: "Mixture", candidate: Candidate) -> dict[int, float]:
-    """The detections of which a hypothesis is told, with their shares: of very many some, evenly over time."""
-    claimed = [(number, share) for number, share in candidate.share.items() if share > 0.05]
+def _re_estimated_from(mixture: "Mixture", candidate: Candidate) -> dict[int, float]:
+    """Responsibilities of the detections a hypothesis is re-estimated from: of very many some, evenly over time."""
+    claimed = [
+        (number, responsibility)
+        for number, responsibility in candidate.responsibility.items()
+        if responsibility > 0.05
+    ]
     return dict(claimed[:: -(-len(claimed) // mixture.tuning.re_estimated_from) or 1])
 
 
-def _worth(mixture: "Mixture", share: dict[int, float]) -> dict[int, float]:
-    """The same shares, each for what it is worth beside its neighbours when none is conditioned on the others."""
+def _worth(mixture: "Mixture", responsibility: dict[int, float]) -> dict[int, float]:
+    """The same responsibilities, each discounted for its neighbours, as when none is conditioned on the others."""
     spread = mixture.settings.spread
     if mixture.places is None or spread is None:
-        return share
-    worth = redundancy([mixture.open[number].near_m for number in share], spread)
-    return {number: part * float(each) for (number, part), each in zip(share.items(), worth, strict=True)}
+        return responsibility
+    worth = redundancy([mixture.open[number].near_m for number in responsibility], spread)
+    return {
+        number: part * float(each) for (number, part), each in zip(responsibility.items(), worth, strict=True)
+    }
 
 
 def _mean(candidate: Candidate) -> FloatArray:
@@ -129,12 +139,14 @@ def _know_all(mixture: "Mixture", candidate: Candidate) -> None:
             continue
         if candidate.name and other.detection.sender == candidate.name:
             candidate.know(number, mixture.log_likelihood(candidate, number))
-            candidate.set_share(number, 1.0)
+            candidate.set_responsibility(number, 1.0)
         elif not candidate.name and number not in mixture.named and mixture.in_reach(candidate, other):
             candidate.know(number, mixture.log_likelihood(candidate, number))
 
 
-def _fresh(mixture: "Mixture", candidate: Candidate, share: dict[int, float], *, most: int) -> Candidate:
+def _fresh(
+    mixture: "Mixture", candidate: Candidate, responsibility: dict[int, float], *, most: int
+) -> Candidate:
     """An empty candidate whose cloud covers wherever the given detections may have come from.
 
     All the ground that the candidate holds for possible, and some round it: a posterior that is cut off claims a
@@ -145,27 +157,27 @@ def _fresh(mixture: "Mixture", candidate: Candidate, share: dict[int, float], *,
     whole = np.vstack([centre - half, centre + half, candidate.points_m])
     row0, row1, column0, column1 = mixture.grid.box_around(whole, 0.0)
     fresh = new_candidate(mixture, (column0, column1), (row0, row1), spacing=1.0, most=most)
-    for number in share:
+    for number in responsibility:
         fresh.know(number, mixture.model.log_likelihood(mixture.open[number].detection, fresh.points_m))
     return fresh
 
 
-def _re_estimated(mixture: "Mixture", candidate: Candidate, share: dict[int, float]) -> Candidate:
-    """A new candidate, on the usual points, that claims these shares."""
-    claimed = {number: part for number, part in share.items() if part > 0.0}
+def _re_estimated(mixture: "Mixture", candidate: Candidate, responsibility: dict[int, float]) -> Candidate:
+    """A new candidate, on the usual points, that claims these responsibilities."""
+    claimed = {number: part for number, part in responsibility.items() if part > 0.0}
     fresh = _fresh(mixture, candidate, claimed, most=mixture.tuning.most_points)
     if mixture.places is None:
-        fresh.set_shares(list(claimed), list(claimed.values()))
+        fresh.set_responsibilities(list(claimed), list(claimed.values()))
     else:
         # Each is conditioned on those claimed before it: one after another, over again with the right ones.
         for number, part in claimed.items():
             fresh.know(number, mixture.log_likelihood(fresh, number))
-            fresh.set_share(number, part)
+            fresh.set_responsibility(number, part)
     fresh.prune()
     return fresh
 
 
-def _two(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> list[list[Candidate]]:
+def _two(mixture: "Mixture", blank: Candidate, responsibility: dict[int, float]) -> list[list[Candidate]]:
     """Two sources, from first guesses that divide the detections across the line they spread on most."""
     alone = []
     for row in blank.logs.values():
@@ -178,20 +190,24 @@ def _two(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> list[
         cos, sin = np.cos(turn_rad), np.sin(turn_rad)
         along = spread @ np.array([cos * axis[0] - sin * axis[1], sin * axis[0] + cos * axis[1]])
         order = np.argsort(np.argsort(along, kind="stable"), kind="stable")
-        hypotheses.append(_divide(mixture, blank, share, order * 2 < len(share)))
-    hypotheses.append(_divide(mixture, blank, share, _best_two_places(mixture, blank, share)))
+        hypotheses.append(_divide(mixture, blank, responsibility, order * 2 < len(responsibility)))
+    hypotheses.append(
+        _divide(mixture, blank, responsibility, _best_two_places(mixture, blank, responsibility))
+    )
     return [pair for pair in hypotheses if min(part.receptions for part in pair) >= 1.0]
 
 
-def _best_two_places(mixture: "Mixture", blank: Candidate, share: dict[int, float]) -> NDArray[np.bool_]:
+def _best_two_places(
+    mixture: "Mixture", blank: Candidate, responsibility: dict[int, float]
+) -> NDArray[np.bool_]:
     """(detections,) whether each was rather sent from the first of the two places and powers that explain all best.
 
-    Two sources a cell or two apart are no line that detections spread on: what tells them apart is how strong each
+    Two sources a cell or two apart are no line that detections spread on: what separates them is how strong each
     transmission was. Coordinate ascent over all places and known powers, from the best single one.
     """
     known = mixture.model.n_known
-    logs = np.array([blank.logs[number].array[:known].ravel() for number in share])
-    weight = np.array(list(share.values()))
+    logs = np.array([blank.logs[number].array[:known].ravel() for number in responsibility])
+    weight = np.array(list(responsibility.values()))
     like = np.exp(logs - logs.max(axis=1, keepdims=True)) + 1e-12
     first = second = int(np.argmax(weight @ np.log(like)))
     for _ in range(mixture.tuning.place_rounds):
@@ -200,22 +216,22 @@ def _best_two_places(mixture: "Mixture", blank: Candidate, share: dict[int, floa
 
 
 def _divide(
-    mixture: "Mixture", blank: Candidate, share: dict[int, float], lean: NDArray[np.bool_]
+    mixture: "Mixture", blank: Candidate, responsibility: dict[int, float], lean: NDArray[np.bool_]
 ) -> list[Candidate]:
     """Two candidates that settle between them who sent what, from a first guess."""
     pair = [blank.copy(), blank.copy()]
-    numbers, whole = list(share), np.array(list(share.values()))
+    numbers, whole = list(responsibility), np.array(list(responsibility.values()))
     first = np.where(lean, 0.9, 0.1) * whole
-    pair[0].set_shares(numbers, first.tolist())
-    pair[1].set_shares(numbers, (whole - first).tolist())
+    pair[0].set_responsibilities(numbers, first.tolist())
+    pair[1].set_responsibilities(numbers, (whole - first).tolist())
     nobody = np.full(whole.size, -1e300)
     for _ in range(8):
         for part in pair:
             part.prune()
-        rows, parts = known_shares(pair, numbers)
+        rows, parts = known_responsibilities(pair, numbers)
         active, start, post, log_exposure = entries_that_count(pair)
         before = parts.copy()
-        loops.share_out(
+        loops.attribute(
             mixture.arena.values,
             rows,
             parts,
@@ -234,16 +250,16 @@ def _divide(
             np.empty(whole.size),
             np.empty(whole.size),
         )
-        acquire_control(pair, numbers, before, parts)
+        claim_what_moved(pair, numbers, before, parts)
         if np.abs(parts - before).sum() < 0.05:
             break
     return pair
 
 
-def _score(hypothesis: list[Candidate], share: dict[int, float]) -> float:
-    """Lower bound of the log evidence of a hypothesis that shares out the same detections."""
+def _score(hypothesis: list[Candidate], responsibility: dict[int, float]) -> float:
+    """Lower bound of the log evidence of a hypothesis that attributes the same detections."""
     total = math.fsum(candidate.log_evidence() for candidate in hypothesis)
-    for number, part in share.items():
-        parts = np.array([candidate.share.get(number, 0.0) for candidate in hypothesis]) / part
+    for number, part in responsibility.items():
+        parts = np.array([candidate.responsibility.get(number, 0.0) for candidate in hypothesis]) / part
         total -= part * float((parts * np.log(np.maximum(parts, 1e-12))).sum())
     return total

@@ -12,7 +12,7 @@ from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray, IntArray
 
 UNCLAIMED = 1e-6
-"""A share so small leaves what the others say of a candidate as it is."""
+"""A responsibility so small leaves what the others say of a candidate as it is."""
 NEGLIGIBLE = -25.0
 """Entries so many nats under the best one count for nothing."""
 _WHOLE = np.exp(-np.arange(746.0))
@@ -45,10 +45,10 @@ def add_rows(values: FloatArray, rows: IntArray, factor: FloatArray, out: FloatA
 
 
 @njit(cache=True, nogil=True)
-def share_out(
+def attribute(
     values: FloatArray,
     rows: IntArray,
-    share: FloatArray,
+    responsibility: FloatArray,
     whole: FloatArray,
     active: IntArray,
     start: IntArray,
@@ -67,11 +67,11 @@ def share_out(
     """Share each detection out among the candidates that know it, the unknown and clutter, one after another.
 
     Candidate c's log-likelihoods of detection k, over its entries, stand in `values` from `rows` (k, c) on, which is
-    negative where it has none. `share` (k, c), `post`, `receptions` (c,), `unclaimed` and `explained` (k,) are brought
-    up to date; `whole` (k,) is what there is to share out. `active` lists the entries of candidate c that count, from
-    `start[c]`; `post` and `log_exposure` stand beside it.
+    negative where it has none. `responsibility` (k, c), `post`, `receptions` (c,), `unclaimed` and `explained` (k,) are
+    brought up to date; `whole` (k,) is what there is to attribute. `active` lists the entries of candidate c that
+    count, from `start[c]`; `post` and `log_exposure` stand beside it.
 
-    What a candidate predicts leaves the detection itself out: its posterior without its share of it.
+    What a candidate predicts leaves the detection itself out: its posterior without its responsibility for it.
     """
     k_all, c_all = rows.shape
     terms = np.empty(c_all + 2)
@@ -84,7 +84,7 @@ def share_out(
         for c in range(c_all):
             if rows[k, c] >= 0:
                 near += 1
-                settled = settled or share[k, c] > 0.999
+                settled = settled or responsibility[k, c] > 0.999
         if near == 0:
             unclaimed[k] = 1.0
             explained[k] = log_clutter[k]
@@ -99,7 +99,7 @@ def share_out(
             if rows[k, c] < 0:
                 continue
             log_like = values[rows[k, c] : rows[k, c] + active[start[c + 1] - 1] + 1]
-            weight = share[k, c]
+            weight = responsibility[k, c]
             total = 0.0
             total_with = 0.0
             if weight < UNCLAIMED:
@@ -146,8 +146,8 @@ def share_out(
             if rows[k, c] < 0:
                 continue
             new = whole[k] * math.exp(terms[c + 2] - top) / all_ways
-            change = new - share[k, c]
-            share[k, c] = new
+            change = new - responsibility[k, c]
+            responsibility[k, c] = new
             receptions[c] += change
             if abs(change) > 1e-12:
                 stale[c] = True

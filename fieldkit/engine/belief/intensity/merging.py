@@ -24,17 +24,19 @@ def merge(mixture: "Mixture") -> bool:
                 if not _worth_a_look(mixture, first, second):
                     continue
                 keep, drop = (first, second) if first.receptions >= second.receptions else (second, first)
-                settle = mixture.tell_given_each_other if mixture.places is not None else None
+                settle = mixture.condition_on_each_other if mixture.places is not None else None
                 gain = merged_gain(keep, drop, settle)
                 if gain == -np.inf:
                     keep, drop = drop, keep
                     gain = merged_gain(keep, drop, settle)
                 if gain > 0.0:
-                    for number, share in drop.share.items():
-                        if number in keep.share and share > 0.0:
-                            keep.set_share(number, min(1.0, keep.share[number] + share))
-                    if drop.absorbed > 0.0:
-                        keep.take_over_folded(drop)
+                    for number, responsibility in drop.responsibility.items():
+                        if number in keep.responsibility and responsibility > 0.0:
+                            keep.set_responsibility(
+                                number, min(1.0, keep.responsibility[number] + responsibility)
+                            )
+                    if drop.frozen_receptions > 0.0:
+                        keep.take_in_frozen(drop)
                     keep.first_ns = min(
                         (t for t in (keep.first_ns, drop.first_ns) if t is not None), default=None
                     )
@@ -54,13 +56,17 @@ def _one_in_shadow(mixture: "Mixture", first: Candidate, second: Candidate) -> b
     if mixture.places is None:
         return False
     small, large = sorted((first, second), key=lambda each: each.receptions)
-    return all(number in large.logs for number, share in small.share.items() if share > 0.02)
+    return all(
+        number in large.logs
+        for number, responsibility in small.responsibility.items()
+        if responsibility > 0.02
+    )
 
 
 def _worth_a_look(mixture: "Mixture", first: Candidate, second: Candidate) -> bool:
     """Whether enough was heard of two neighbours since they were last found to be two; always without place noise.
 
-    To tell all they claim given each other takes time.
+    Conditioning all they claim on each other takes time.
     """
     if mixture.places is None:
         return True

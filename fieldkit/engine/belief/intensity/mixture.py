@@ -1,9 +1,9 @@
 """The mixture under the default belief: who sent what, among the candidates, one not yet known, and clutter.
 
-Shares are set by what the *other* detections of a candidate predict (collapsed variational mixture, zeroth order),
+Attribution are set by what the *other* detections of a candidate predict (collapsed variational mixture, zeroth order),
 so that a reading does not vouch for itself. One more candidate is born where one more source would explain the
 detections better than those there are; two become one where one explains better what both sent; one that nothing
-supports any more is dropped. `hypotheses` re-tells the history of a candidate that may be stuck.
+supports any more is dropped. `hypotheses` re-estimates a candidate that may be stuck from its detections.
 """
 
 from collections.abc import Sequence
@@ -16,13 +16,13 @@ from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
 from fieldkit.engine.belief.intensity.births import birth, claim_by_name, refine, remember_births
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, summarise
-from fieldkit.engine.belief.intensity.folding import fold
+from fieldkit.engine.belief.intensity.freezing import freeze
 from fieldkit.engine.belief.intensity.ground import ground_of
 from fieldkit.engine.belief.intensity.merging import merge
 from fieldkit.engine.belief.intensity.nuisance import learnt_clutter, shared_sigma_m
-from fieldkit.engine.belief.intensity.responsibilities import Shares, share_out
+from fieldkit.engine.belief.intensity.responsibilities import Attribution, attribute
 from fieldkit.engine.belief.intensity.silence import note_heard
-from fieldkit.engine.belief.intensity.watch import Watch, watch_receivers, without_deaf
+from fieldkit.engine.belief.intensity.watch import Watch, watch_receivers, without_insensitive
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears import Ears
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
@@ -100,7 +100,7 @@ class Mixture:
         self.explained: dict[int, float] = {}
         """Detection to the log of the intensity with which clutter and the candidates explain it."""
         self.revise_at: dict[int, float] = {}
-        """Candidate to the receptions at which its hypothesis is next told afresh."""
+        """Candidate to the receptions at which its hypothesis is next re-estimated."""
         self.born: dict[int, tuple[tuple[float, float], float]] = {}
         """Candidates born at this detection, where, and at what odds."""
         self.stillborn: list[tuple[tuple[float, float], float]] = []
@@ -121,7 +121,7 @@ class Mixture:
         self.now_ns = 0
         """Up to when something was heard, or listened to."""
         self.since_ns: int | None = None
-        self.clutter_folded = 0.0
+        self.clutter_frozen = 0.0
         self._next_detection = 0
         self._next_ident = 1
         self._summaries: dict[int, Summary] = {}
@@ -130,7 +130,7 @@ class Mixture:
         """Add to the exposure of the ground where robots listened."""
         self.now_ns = max(self.now_ns, listening.t1_ns)
         self.since_ns = listening.t0_ns if self.since_ns is None else min(self.since_ns, listening.t0_ns)
-        hearing = [not self.is_deaf(robot) for robot in listening.robots]
+        hearing = [not self.is_insensitive(robot) for robot in listening.robots]
         if not any(hearing):
             return
         ears = self.ears.of_listening(listening)[hearing]
@@ -183,13 +183,13 @@ class Mixture:
         watch_receivers(self, detections)
         for candidate in self.candidates:
             note_heard(self, candidate)
-        fold(self)
+        freeze(self)
 
-    def is_deaf(self, robot: str) -> bool:
-        return robot in self.watch.of and self.watch.of[robot].deaf
+    def is_insensitive(self, robot: str) -> bool:
+        return robot in self.watch.of and self.watch.of[robot].insensitive
 
     def reflect(self) -> bool | None:
-        """Tell the hypothesis of one candidate afresh; whether another was better, None where none was due."""
+        """Re-estimate one candidate's hypothesis; whether another was better, None where none was due."""
         better = hypotheses.revise(self)
         if better:
             self.sweep(self.tuning.sweeps)
@@ -199,7 +199,7 @@ class Mixture:
     def _open(self, detection: Detection) -> None:
         number = self._next_detection
         self._next_detection += 1
-        stored = self.store(without_deaf(self, self.ears.corrected(detection)))
+        stored = self.store(without_insensitive(self, self.ears.corrected(detection)))
         self.open[number] = stored
         self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
         if self.settings.identity == "address" and detection.sender is not None:
@@ -208,7 +208,7 @@ class Mixture:
         if self.settings.identity == "address" and not self._nameless:
             self._nameless = True
             self.said.append(
-                "sources.identity is 'address', and frames come in that name no sender: those are told apart by "
+                "sources.identity is 'address', and frames come in that name no sender: those are distinguished by "
                 "where they are heard, as anonymous ones"
             )
         for candidate in self.candidates:
@@ -222,8 +222,8 @@ class Mixture:
             return self.model.log_likelihood(detection, candidate.points_m)
         claimed = [
             other
-            for other, share in candidate.share.items()
-            if share >= self.tuning.claimed and other < number and other in self.open
+            for other, responsibility in candidate.responsibility.items()
+            if responsibility >= self.tuning.claimed and other < number and other in self.open
         ]
         candidate.based_on[number] = claimed
         own = [self.open[other] for other in claimed]
@@ -247,42 +247,42 @@ class Mixture:
             return 1.0
         own = [
             self.open[number].near_m
-            for number, share in candidate.share.items()
-            if share >= self.tuning.claimed and number in self.open
+            for number, responsibility in candidate.responsibility.items()
+            if responsibility >= self.tuning.claimed and number in self.open
         ]
         return float(redundancy(own, self.settings.spread).mean()) if own else 1.0
 
     def _condition(self) -> None:
-        """Tell anew what rests on detections that a candidate no longer claims, or lacks one that it does now."""
+        """Compute anew what is conditioned on detections no longer claimed, or lacks one that is claimed now."""
         for candidate in self.candidates:
-            if self.tell_given_each_other(candidate):
+            if self.condition_on_each_other(candidate):
                 self._summaries.pop(candidate.ident, None)
 
-    def tell_given_each_other(self, candidate: Candidate) -> bool:
-        """Each detection of a candidate given those it claims before it; whether any had to be told anew."""
-        told = False
-        for number, share in candidate.share.items():
-            if share < 0.05 or number not in self.open:
+    def condition_on_each_other(self, candidate: Candidate) -> bool:
+        """Condition each detection of a candidate on those it claims before it; whether any was conditioned anew."""
+        anew = False
+        for number, responsibility in candidate.responsibility.items():
+            if responsibility < 0.05 or number not in self.open:
                 continue
             claimed = [
                 other
-                for other, part in candidate.share.items()
+                for other, part in candidate.responsibility.items()
                 if part >= self.tuning.claimed and other < number and other in self.open
             ]
             if claimed == candidate.based_on.get(number):
                 continue
             old = candidate.logs[number].array
             candidate.know(number, self.log_likelihood(candidate, number))
-            candidate.evidence += share * (candidate.logs[number].array - old)
-            told = True
-        return told
+            candidate.evidence += responsibility * (candidate.logs[number].array - old)
+            anew = True
+        return anew
 
     def _settle(self) -> None:
         if self.places is not None:
             self._condition()
         if merge(self):
             self.sweep(1)
-        self._bury()
+        self._prune()
 
     def store(self, detection: Detection) -> OpenDetection:
         heard_at = detection.position_m[detection.heard]
@@ -349,7 +349,7 @@ class Mixture:
         return result
 
     def sweep(self, sweeps: int) -> None:
-        """Shares of all open detections, from the predictions of the candidates and of the unknown.
+        """Attribution of all open detections, from the predictions of the candidates and of the unknown.
 
         All but the last sweep look only at detections still in doubt or new.
         """
@@ -357,7 +357,7 @@ class Mixture:
         log_unknown = self._log_unknown()
         more = learnt_clutter(self)
         log_clutter = np.array([self.open[number].log_clutter + more for number in numbers])
-        left = Shares(
+        left = Attribution(
             np.array([self.unclaimed[number] for number in numbers]),
             np.array([self.explained[number] for number in numbers]),
         )
@@ -367,7 +367,7 @@ class Mixture:
             self._summaries.clear()
             return seen
 
-        share_out(
+        attribute(
             self.arena,
             self.candidates,
             numbers,
@@ -438,9 +438,9 @@ class Mixture:
         self.candidates = [c for c in self.candidates if c is not candidate]
         self._summaries.pop(candidate.ident, None)
 
-    def _bury(self) -> None:
+    def _prune(self) -> None:
         """Drop candidates that nothing supports any more; what they held is unclaimed again."""
         for candidate in [c for c in self.candidates if c.receptions < self.tuning.death_receptions]:
-            for number, share in candidate.share.items():
-                self.unclaimed[number] = min(1.0, self.unclaimed[number] + share)
+            for number, responsibility in candidate.responsibility.items():
+                self.unclaimed[number] = min(1.0, self.unclaimed[number] + responsibility)
             self.remove(candidate)

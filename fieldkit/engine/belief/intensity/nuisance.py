@@ -1,4 +1,4 @@
-"""What the open detections tell besides places: how many are nobody's, and how far positions may be off together."""
+"""What the open detections say besides places: how many are nobody's, and how far positions may be off together."""
 
 import math
 from typing import TYPE_CHECKING
@@ -21,11 +21,12 @@ def learnt_clutter(mixture: "Mixture") -> float:
     """
     claimed = dict.fromkeys(mixture.open, 0.0)
     for candidate in mixture.candidates:
-        for number, share in candidate.share.items():
+        for number, responsibility in candidate.responsibility.items():
             if number in claimed:
-                claimed[number] += share
-    count = mixture.clutter_folded + math.fsum(
-        max(0.0, 1.0 - mixture.unclaimed[number] - share) for number, share in claimed.items()
+                claimed[number] += responsibility
+    count = mixture.clutter_frozen + math.fsum(
+        max(0.0, 1.0 - mixture.unclaimed[number] - responsibility)
+        for number, responsibility in claimed.items()
     )
     prior_s = 1.0 / mixture.tuning.clutter_hz
     listened_s = max(0.0, (mixture.now_ns - mixture.since_ns) * 1e-9) if mixture.since_ns is not None else 0.0
@@ -34,25 +35,25 @@ def learnt_clutter(mixture: "Mixture") -> float:
 
 
 def shared_sigma_m(mixture: "Mixture", candidate: Candidate) -> float:
-    """How far the positions that told of it may be off together.
+    """How far the positions it was heard from may be off together.
 
-    Errors of satellites last about a minute: readings nearer in time share one. Readings made nearer to the source
-    tell more of its place, by the Fisher information of a distance: a few of them may be all that counts.
+    Errors of satellites last about a minute: readings nearer in time have one in common. Readings made nearer to
+    the source say more of its place, by the Fisher information of a distance: a few of them may be all that counts.
     """
     own = [
         mixture.open[number]
-        for number, share in candidate.share.items()
-        if share >= mixture.tuning.claimed and number in mixture.open
+        for number, responsibility in candidate.responsibility.items()
+        if responsibility >= mixture.tuning.claimed and number in mixture.open
     ]
     if not own:
         return mixture.settings.pose_sigma_m
     sigmas = [float(each.detection.sigma_m.mean()) if each.detection.sigma_m.size else 0.0 for each in own]
     sigma_m = max(mixture.settings.pose_sigma_m, float(np.mean(sigmas)))
     middle = candidate.points_m[int(candidate.log_posterior().max(axis=0).argmax())]
-    told: dict[int, float] = {}
+    information: dict[int, float] = {}
     for each in own:
         far2 = float(((each.near_m - middle) ** 2).sum(axis=1).min()) + sigma_m**2 + mixture.field.cell_m**2
         block = each.detection.t_ns // SHARED_NS
-        told[block] = told.get(block, 0.0) + 1.0 / far2
-    weight = np.array(list(told.values()))
+        information[block] = information.get(block, 0.0) + 1.0 / far2
+    weight = np.array(list(information.values()))
     return float(sigma_m * np.sqrt((weight**2).sum()) / weight.sum())

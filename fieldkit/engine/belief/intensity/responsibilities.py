@@ -1,4 +1,4 @@
-"""Who sent what: one pass over the open detections, each shared out among the candidates, the unknown and clutter.
+"""Who sent what: one pass over the open detections, each attributed among the candidates, the unknown and clutter.
 
 The pass is compiled and runs in the order of the detections, each seeing what the ones before it changed (coordinate
 ascent). A candidate's entries (power hypothesis by point) more than `ACTIVE_NATS` under its best one take no part.
@@ -16,11 +16,11 @@ from fieldkit.engine.belief.intensity.candidate import Candidate, active_entries
 from fieldkit.messages import FloatArray
 
 MOVED = 1e-6
-"""A share that changes by less stays as it is, and the evidence with it."""
+"""A responsibility that changes by less stays as it is, and the evidence with it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shares:
+class Attribution:
     """What is left of each detection, in the order given; brought up to date by every pass."""
 
     unclaimed: FloatArray
@@ -29,7 +29,7 @@ class Shares:
     """(k,) log of the intensity with which clutter and the candidates explain it."""
 
 
-def share_out(
+def attribute(
     arena: Arena,
     candidates: list[Candidate],
     numbers: list[int],
@@ -38,7 +38,7 @@ def share_out(
     mean_exposure_s: Callable[[], FloatArray],
     rate_shape: float,
     rate_prior_s: float,
-    left: Shares,
+    left: Attribution,
     *,
     passes: int,
 ) -> None:
@@ -48,15 +48,15 @@ def share_out(
     `mean_exposure_s` gives (candidates,) as it is before each pass. All passes but the last leave alone what one
     candidate claims beyond doubt.
     """
-    rows, share = known_shares(candidates, numbers)
+    rows, responsibility = known_responsibilities(candidates, numbers)
     whole = np.ones(len(numbers))
     for turn in range(passes):
         active, start, post, log_exposure = entries_that_count(candidates)
-        before = share.copy()
-        loops.share_out(
+        before = responsibility.copy()
+        loops.attribute(
             arena.values,
             rows,
-            share,
+            responsibility,
             whole,
             active,
             start,
@@ -72,17 +72,21 @@ def share_out(
             left.unclaimed,
             left.explained,
         )
-        share = acquire_control(candidates, numbers, before, share)
+        responsibility = claim_what_moved(candidates, numbers, before, responsibility)
 
 
-def known_shares(candidates: list[Candidate], numbers: list[int]) -> tuple[NDArray[np.int64], FloatArray]:
-    """(k, c) where the log-likelihoods begin, negative where a candidate does not know a detection; (k, c) shares."""
+def known_responsibilities(
+    candidates: list[Candidate], numbers: list[int]
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """(k, c) where log-likelihoods begin, negative where a candidate knows none; (k, c) responsibilities."""
     shape = (len(candidates), len(numbers))
     rows = [[candidate.logs.get(number) for number in numbers] for candidate in candidates]
-    share = [[candidate.share.get(number, 0.0) for number in numbers] for candidate in candidates]
+    responsibility = [
+        [candidate.responsibility.get(number, 0.0) for number in numbers] for candidate in candidates
+    ]
     return (
         starts_table(rows, len(numbers)),
-        np.ascontiguousarray(np.array(share, dtype=float).reshape(shape).T),
+        np.ascontiguousarray(np.array(responsibility, dtype=float).reshape(shape).T),
     )
 
 
@@ -101,13 +105,15 @@ def entries_that_count(
     return np.concatenate(active), start, np.concatenate(post), np.concatenate(log_exposure)
 
 
-def acquire_control(
-    candidates: list[Candidate], numbers: list[int], before: FloatArray, share: FloatArray
+def claim_what_moved(
+    candidates: list[Candidate], numbers: list[int], before: FloatArray, responsibility: FloatArray
 ) -> FloatArray:
-    """Have the candidates claim `share` (k, c) where it has moved; (k, c) as they claim now."""
-    moved = np.abs(share - before) > MOVED
+    """Have the candidates claim `responsibility` (k, c) where it has moved; (k, c) as they claim now."""
+    moved = np.abs(responsibility - before) > MOVED
     for column, candidate in enumerate(candidates):
         changed = np.flatnonzero(moved[:, column])
         if changed.size:
-            candidate.set_shares([numbers[index] for index in changed], share[changed, column].tolist())
-    return np.where(moved, share, before)
+            candidate.set_responsibilities(
+                [numbers[index] for index in changed], responsibility[changed, column].tolist()
+            )
+    return np.where(moved, responsibility, before)

@@ -29,8 +29,8 @@ def note_heard(mixture: "Mixture", candidate: Candidate) -> None:
     """Keep when the first and the last of what it claims was sent, and how long it had been listened to by then."""
     sent = [
         mixture.open[number].detection.t_ns
-        for number, share in candidate.share.items()
-        if share >= mixture.tuning.claimed and number in mixture.open
+        for number, responsibility in candidate.responsibility.items()
+        if responsibility >= mixture.tuning.claimed and number in mixture.open
     ]
     if not sent:
         return

@@ -1,9 +1,9 @@
-"""Receivers watched against each other: one that reports more or less than the others, and one that is deaf.
+"""Receivers watched against each other: one that reports more or less than the others, and one that is insensitive.
 
 All receivers are measured by the same candidates. What one reports more than they predict, beyond what the others
-report more, is its own offset; what it does not hear though it should have is deafness. A receiver is named when that
-can hardly be chance; from then on its readings are corrected, or its silence is left out. What all report more than the
-power levels allow is the sources' or the antenna file's, and is said once.
+report more, is its own offset; packets it should hear and does not make it insensitive. A receiver is named when
+that can hardly be chance; from then on its readings are corrected, or its silence is left out. What all report more
+than the power levels allow is the sources' or the antenna file's, and is said once.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ LEAST = 8
 LEAST_OFFSET_DB, OFFSET_SIGMAS = 3.0, 3.5
 REFINED_DB, REFINED_SIGMAS = 1.0, 2.0
 """What was learnt of a receiver once named is mended by no less than this."""
-DEAF_BELOW = 1e-4
+INSENSITIVE_BELOW = 1e-4
 """Probability of hearing so few by chance."""
 SURE = 0.8
 """Only packets that were to be heard so probably are looked at: weak ones are heard when they read strong."""
@@ -51,7 +51,7 @@ class Heard:
     """P(heard) of each of those."""
     offset_db: float = 0.0
     """What is taken off its readings."""
-    deaf: bool = False
+    insensitive: bool = False
 
 
 class Watch:
@@ -80,26 +80,26 @@ class Watch:
                 its.residual_db = [*its.residual_db, float(rss - expected)][-LAST:]
 
     def judge(self, sigma_db: float) -> list[str]:
-        """What is new to say of receivers; offsets and deafness are brought up to date."""
+        """What is new to say of receivers; offsets and insensitivity are brought up to date."""
         said = []
         for robot, its in self.of.items():
-            said += self._judge_deaf(robot, its)
+            said += self._judge_sensitivity(robot, its)
             said += self._judge_offset(robot, its, sigma_db)
         return said
 
-    def _judge_deaf(self, robot: str, its: Heard) -> list[str]:
+    def _judge_sensitivity(self, robot: str, its: Heard) -> list[str]:
         count, heard = len(its.heard), sum(its.heard)
         if count < LEAST:
             return []
         chance = float(binom.cdf(heard, count, float(np.mean(its.should))))
-        if not its.deaf and chance < DEAF_BELOW:
-            its.deaf = True
+        if not its.insensitive and chance < INSENSITIVE_BELOW:
+            its.insensitive = True
             return [
                 f"{robot}: heard {heard} of {count} packets that were to be heard where it was: is its antenna "
                 "connected? Its silence is left out"
             ]
-        if its.deaf and chance > 0.01:
-            its.deaf = False
+        if its.insensitive and chance > 0.01:
+            its.insensitive = False
             return [f"{robot}: hears again ({heard} of {count} packets); its silence counts"]
         return []
 
@@ -129,7 +129,7 @@ class Watch:
         ]
 
     def common(self, mixture: "Mixture") -> list[str]:
-        """Said once: all sources read stronger, or weaker, than any level that was told."""
+        """Said once: all sources read stronger, or weaker, than any power level that was given."""
         low, high = min(mixture.settings.power_levels_db), max(mixture.settings.power_levels_db)
         powers = [mixture.summary(each).power_db for each in mixture.candidates if each.receptions >= 4.0]
         beyond = np.array([power - np.clip(power, low, high) for power in powers])
@@ -149,9 +149,9 @@ class Watch:
         ]
 
 
-def without_deaf(mixture: "Mixture", detection: Detection) -> Detection:
+def without_insensitive(mixture: "Mixture", detection: Detection) -> Detection:
     """The detection without robots whose silence says nothing."""
-    keep = ~np.isnan(detection.rss_dbm) | np.array([not mixture.is_deaf(r) for r in detection.robots])
+    keep = ~np.isnan(detection.rss_dbm) | np.array([not mixture.is_insensitive(r) for r in detection.robots])
     return detection if keep.all() else part_of(detection, keep)
 
 
@@ -160,7 +160,7 @@ def watch_receivers(mixture: "Mixture", detections: Sequence[Detection]) -> None
     for number, detection in zip(list(mixture.open)[-len(detections) :], detections, strict=False):
         for candidate in mixture.candidates:
             known = candidate.receptions >= WATCHED_FROM and mixture.summary(candidate).p_here >= 0.5
-            if known and candidate.share.get(number, 0.0) >= 0.9:
+            if known and candidate.responsibility.get(number, 0.0) >= 0.9:
                 mixture.watch.take_in(mixture, mixture.ears.corrected(detection), candidate)
     before = {robot: its.offset_db for robot, its in mixture.watch.of.items()}
     mixture.said += [*mixture.watch.judge(mixture.settings.antenna.sigma_db), *mixture.watch.common(mixture)]
@@ -170,7 +170,7 @@ def watch_receivers(mixture: "Mixture", detections: Sequence[Detection]) -> None
 
 
 def _correct(mixture: "Mixture", learnt: dict[str, float]) -> None:
-    """Take what was learnt off further readings, and off those that are in and not folded yet."""
+    """Take what was learnt off further readings, and off those that are in and not frozen yet."""
     before = mixture.ears
     receivers = dict(mixture.settings.receivers)
     for robot, offset_db in learnt.items():
@@ -184,8 +184,8 @@ def _correct(mixture: "Mixture", learnt: dict[str, float]) -> None:
         mixture.open[number] = mixture.store(mixture.ears.corrected(raw))
     for candidate in mixture.candidates:
         for number in candidate.logs:
-            share, old = candidate.share[number], candidate.logs[number].array
+            responsibility, old = candidate.responsibility[number], candidate.logs[number].array
             candidate.know(number, mixture.log_likelihood(candidate, number))
-            candidate.evidence += share * (candidate.logs[number].array - old)
+            candidate.evidence += responsibility * (candidate.logs[number].array - old)
         mixture.forget_summary(candidate)
         mixture.revise_at[candidate.ident] = 0.0  # ground that wrong readings ruled out is to be had back
