@@ -37,6 +37,12 @@ class Heard:
     number: int | None = None
     """Of the packet, by its sender."""
 
+    def frame_id(self) -> str | None:
+        """The packet's name, the same at every receiver where its sender numbers its packets."""
+        if self.source is None or self.number is None:
+            return self.source
+        return f"{self.source}/{self.number & 0xFF:02x}"
+
 
 @dataclass(frozen=True, slots=True)
 class LineMap:
@@ -93,7 +99,10 @@ class LineMap:
 
     def read(self, line: str) -> Heard | None:
         """What a line says; None where it says that nothing was heard. Raises `NoReadingError`."""
-        values = self._values(line)
+        return self.read_values(self._values(line))
+
+    def read_values(self, values: Any) -> Heard | None:
+        """The same of what was parsed already: nested dictionaries and lists."""
         if self.heard and _is_false(_at(values, self.heard)):
             return None
         return Heard(

@@ -205,16 +205,13 @@ class LinesReceiver(ReconnectingReceiver):
 
     def _reading(self, heard: Heard, t_ns: int) -> RssReading:
         ceiling = self._options.saturation_dbm
-        name = heard.source
-        if name is not None and heard.number is not None:
-            name = f"{name}/{heard.number & 0xFF:02x}"
         return RssReading(
             t_ns=self._mission_time(heard.time_s, t_ns),
             robot=self.robot,
             rss_dbm=heard.rss_dbm,
             via="lines",
             channel=heard.channel,
-            frame_id=name,
+            frame_id=heard.frame_id(),
             saturated=ceiling is not None and heard.rss_dbm >= ceiling,
         )
 

@@ -12,8 +12,10 @@ if TYPE_CHECKING:
 
 
 def survey(
-    readings: Annotated[Path, typer.Argument(help="Readings: .csv, .mcap, .pcap or .pcapng.")],
-    positions: Annotated[Path, typer.Argument(help="Positions: .csv, .gpx, .tlog, .bin or .mcap.")],
+    readings: Annotated[Path, typer.Argument(help="Readings: .csv, .mcap, .pcap, .pcapng, a ROS 2 bag.")],
+    positions: Annotated[
+        Path, typer.Argument(help="Positions: .csv, .gpx, .tlog, .bin, .mcap, a ROS 2 bag.")
+    ],
     antenna: Annotated[Path, typer.Option(help="Antenna file of the radio that was carried.")],
     robot: Annotated[str, typer.Option(help="Name of the only receiver, where a log has none.")] = "radio",
     margin_m: Annotated[
@@ -60,6 +62,9 @@ def survey(
     max_gap_s: Annotated[float, typer.Option(min=0.1, help="Longest gap between positions.")] = 5.0,
     shift_s: Annotated[float, typer.Option(help="Added to the readings' times.")] = 0.0,
     geojson: Annotated[Path | None, typer.Option(help="Write candidates and path to this file.")] = None,
+    topics: Annotated[
+        Path | None, typer.Option(help="Which topics of a ROS 2 bag have readings: see docs/hardware.md.")
+    ] = None,
     allow_refused: Annotated[bool, typer.Option(help="Use an antenna file whose fit was refused.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
@@ -102,7 +107,7 @@ def survey(
         found_probability=found_probability,
     )
     notes: list[str] = []
-    heard = read_readings(readings, robot, relative=relative, notes=notes)
+    heard = read_readings(readings, robot, relative=relative, notes=notes, topics=topics)
     if assumption := spread_of(file).assumed:
         notes.append(f"{antenna.name}: {assumption}")
     columns = (TextColumn("locating"), BarColumn())

@@ -1,4 +1,4 @@
-"""Logs of readings of any kind: CSV, a fieldkit recording, an 802.15.4 capture."""
+"""Logs of readings of any kind: CSV, a fieldkit recording, an 802.15.4 capture, a ROS 2 recording."""
 
 from pathlib import Path
 
@@ -11,16 +11,29 @@ Heard = RssReading | ReceiverState
 
 
 def read_readings(
-    path: Path, robot: str = ONLY, *, relative: bool = False, notes: list[str] | None = None
+    path: Path,
+    robot: str = ONLY,
+    *,
+    relative: bool = False,
+    notes: list[str] | None = None,
+    topics: Path | None = None,
 ) -> list[Heard]:
     """Readings and receivers' states, in order of time. `robot` names the receiver of a log without names.
 
     `relative`: levels are dB against whatever, so any finite number is one. What was left out is added to `notes`.
 
+    `topics` is a file that says which topics of a ROS 2 recording have readings, and where in their messages.
+
     Raises `DataError` where it is missing, of an unknown kind, or nothing was heard.
     """
     kinds = {".mcap": _recording, ".pcap": _capture, ".pcapng": _capture}
     ending = path.suffix.lower()
+    if path.is_dir() or ending == ".mcap":
+        from drivers.positions.bags import bag_readings, is_bag, read_topic_maps
+
+        if is_bag(path):
+            maps = {} if topics is None else read_topic_maps(topics)
+            return sorted(bag_readings(path, robot, maps, notes if notes is not None else []), key=_time)
     if ending != ".csv" and ending not in kinds:
         raise DataError(f"{path}: expected one of .csv, {', '.join(kinds)}, got '{path.suffix}'")
     if not path.is_file():
@@ -29,10 +42,14 @@ def read_readings(
         found = _csv(path, robot, relative, notes if notes is not None else [])
     else:
         found = kinds[ending](path, robot)
-    heard = sorted(found, key=lambda item: item.t_ns)
+    heard = sorted(found, key=_time)
     if not any(isinstance(item, RssReading) for item in heard):
         raise DataError(f"{path}: holds no reading of received strength")
     return heard
+
+
+def _time(item: Heard) -> int:
+    return item.t_ns
 
 
 def _csv(path: Path, robot: str, relative: bool, notes: list[str]) -> list[Heard]:

@@ -20,7 +20,7 @@ class FileOptions:
     """What a mission file says of a position log."""
 
     path: str
-    """CSV, GPX, tlog, dataflash .bin or a fieldkit recording."""
+    """CSV, GPX, tlog, dataflash .bin, a ROS 2 bag or a fieldkit recording."""
     robot: str | None = None
     """Whose positions they are, where the log does not say."""
     at_once: bool = False

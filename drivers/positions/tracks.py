@@ -1,4 +1,4 @@
-"""Position logs of any kind as one list of spots: CSV, GPX, MAVLink tlog, dataflash .bin, a fieldkit recording."""
+"""Position logs of any kind as one list of spots: CSV, GPX, tlog, dataflash .bin, ROS 2 bags, our own recordings."""
 
 import logging
 import math
@@ -60,12 +60,12 @@ def read_track(path: Path, robot: str | None = None) -> Track:
         ".gpx": _gpx,
         ".tlog": _tlog,
         ".bin": _dataflash,
-        ".mcap": _recording,
+        ".mcap": _mcap,
     }
-    reader = kinds.get(path.suffix.lower())
+    reader = _mcap if path.is_dir() else kinds.get(path.suffix.lower())
     if reader is None:
         raise DataError(f"{path}: expected one of {', '.join(kinds)}, got '{path.suffix}'")
-    if not path.is_file():
+    if not path.exists():
         raise DataError(f"{path}: no such file")
     track = reader(path)
     if not track.spots:
@@ -77,17 +77,18 @@ def read_track(path: Path, robot: str | None = None) -> Track:
             raise DataError(
                 f"{path}: is of several robots ({', '.join(sorted(names))}); they keep their names"
             )
-        track.spots = [_renamed(spot, robot) for spot in track.spots]
+        track.spots = [renamed(spot, robot) for spot in track.spots]
     if track.skipped:
         logger.warning("%s: %d entries without a usable position", path, track.skipped)
     return track
 
 
-def _renamed(spot: Spot, robot: str) -> Spot:
+def renamed(spot: Spot, robot: str) -> Spot:
+    """The same place of another robot."""
     return Spot(spot.t_ns, robot, spot.first, spot.second, spot.up_m, spot.heading_deg, spot.sigma_m)
 
 
-def _add(track: Track, spot: Spot) -> None:
+def add(track: Track, spot: Spot) -> None:
     """Keep a spot that can be: 0, 0 is what an autopilot says before it has a fix."""
     values = (spot.first, spot.second, spot.up_m, spot.heading_deg, spot.sigma_m)
     possible = all(math.isfinite(value) for value in values) and spot.sigma_m >= 0.0
@@ -126,7 +127,7 @@ def track_of(table: Table) -> Track:
         if "up_m" in table.names and up_m is None:
             table.bad(line, "no height, and other rows have one")
             continue
-        _add(track, Spot(t_ns, row.get("robot") or ONLY, one, other, up_m or 0.0, heading, sigma_m))
+        add(track, Spot(t_ns, row.get("robot") or ONLY, one, other, up_m or 0.0, heading, sigma_m))
     track.skipped += table.skipped
     track.notes += table.notes()
     track.heights = "up_m" in table.names
@@ -157,7 +158,7 @@ def _gpx(path: Path) -> Track:
         if t_ns is None:
             track.skipped += 1
         else:
-            _add(track, Spot(t_ns, ONLY, *place))
+            add(track, Spot(t_ns, ONLY, *place))
     return track
 
 
@@ -168,9 +169,9 @@ def _tlog(path: Path) -> Track:
         heading = message.hdg / 100.0 if message.hdg != 65535 else 0.0
         name = f"system {message.get_srcSystem()}"
         place = message.lat * 1e-7, message.lon * 1e-7, message.relative_alt * 1e-3
-        _add(found, Spot(round(message._timestamp * 1e9), name, *place, heading % 360.0))
+        add(found, Spot(round(message._timestamp * 1e9), name, *place, heading % 360.0))
     if len({spot.robot for spot in found.spots}) == 1:
-        found.spots = [_renamed(spot, ONLY) for spot in found.spots]
+        found.spots = [renamed(spot, ONLY) for spot in found.spots]
     return found
 
 
@@ -185,9 +186,9 @@ def _dataflash(path: Path) -> Track:
             heading = float(message.Yaw) % 360.0 if math.isfinite(message.Yaw) else heading
         elif kind == "POS":
             up_m = float(getattr(message, "RelHomeAlt", 0.0))
-            _add(found, Spot(round(message._timestamp * 1e9), ONLY, message.Lat, message.Lng, up_m, heading))
+            add(found, Spot(round(message._timestamp * 1e9), ONLY, message.Lat, message.Lng, up_m, heading))
         elif message.Status >= 3 and getattr(message, "I", 0) == 0:
-            _add(raw, Spot(round(message._timestamp * 1e9), ONLY, message.Lat, message.Lng, 0.0, heading))
+            add(raw, Spot(round(message._timestamp * 1e9), ONLY, message.Lat, message.Lng, 0.0, heading))
     return found if found.spots else raw
 
 
@@ -215,6 +216,13 @@ def _messages(path: Path, kinds: Any, track: Track) -> Any:
                 os.environ[name] = environment[name]
 
 
+def _mcap(path: Path) -> Track:
+    """A ROS 2 recording, also a folder of its files, or one of ours."""
+    from drivers.positions.bags import is_bag, read_bag
+
+    return read_bag(path) if is_bag(path) else _recording(path)
+
+
 def _recording(path: Path) -> Track:
     """Poses of a fieldkit recording: east and north."""
     from fieldkit.messages import Pose
@@ -224,5 +232,5 @@ def _recording(path: Path) -> Track:
     for _, _, event in open_recording(path).events():
         if isinstance(event, Pose):
             place = event.east_m, event.north_m, event.up_m
-            _add(track, Spot(event.t_ns, event.robot, *place, event.heading_deg, event.sigma_m))
+            add(track, Spot(event.t_ns, event.robot, *place, event.heading_deg, event.sigma_m))
     return track
