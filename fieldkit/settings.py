@@ -92,6 +92,10 @@ REPEAT_S = 3.0
 ELLIPSE_90 = 2.146
 """Standard deviations around the middle of a plane normal that hold 90 % of it: sqrt(-2 ln 0.1)."""
 
+# -- other people's maps -------------------------------------------------------------------------------------
+
+COT_EVERY_S = Quantity(5.0, 0.2, 600.0, "s", "time between two tellings of everything by Cursor on Target")
+
 # -- the end -------------------------------------------------------------------------------------------------
 
 MAX_DURATION_S = positive(3_600.0, 30 * 86_400.0, "s", "longest duration of a mission")

@@ -96,7 +96,11 @@ def export(
     log: _LOG,
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", help="A file ending in .csv .parquet .geojson .kml .gpx, or a folder."),
+        typer.Option(
+            "--out",
+            "-o",
+            help="A file ending in .csv .parquet .geojson .kml .gpx .zip (for TAK), or a folder.",
+        ),
     ],
     what: Annotated[
         str,

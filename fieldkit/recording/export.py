@@ -1,4 +1,4 @@
-"""A recording's tables as files other programs read: CSV, Parquet, GeoJSON, KML, GPX. Whole files or none."""
+"""A recording's tables as files other programs read: CSV, Parquet, GeoJSON, KML, GPX, TAK packages. Whole or none."""
 
 import csv
 import io
@@ -13,9 +13,10 @@ from fieldkit.files import write_whole
 from fieldkit.recording.log import NAMES, Log
 from fieldkit.recording.shapes import geojson, gpx, kml
 from fieldkit.recording.tables import TABLES
+from fieldkit.recording.tak import tak_package
 
 TABULAR = ("csv", "parquet")
-MAPS = ("geojson", "kml", "gpx")
+MAPS = ("geojson", "kml", "gpx", "zip")
 ON_MAPS = ("poses", "readings", "detections", "sources", "belief")
 
 
@@ -90,7 +91,12 @@ def _map(
     for name in names:
         if not len(rows[name]):
             raise RecordingError(_empty(log, name, from_s, to_s))
-    makers: dict[str, Callable[..., str]] = {"geojson": geojson, "kml": kml, "gpx": gpx}
+    makers: dict[str, Callable[..., str | bytes]] = {
+        "geojson": geojson,
+        "kml": kml,
+        "gpx": gpx,
+        "zip": tak_package,
+    }
     write_whole(out, makers[form](log.frame, rows, log.path.stem))
     return out
 

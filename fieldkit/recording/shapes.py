@@ -65,7 +65,7 @@ def gpx(frame: FieldFrame, tables: Tables, name: str) -> str:
         if shape["type"] == "Point":
             point = _gpx_point(root, "wpt", shape["coordinates"], properties.get("t_ns"))
             ElementTree.SubElement(point, f"{{{_GPX}}}name").text = str(properties.get("name", ""))
-    for robot, track in _by_robot(tables.get("poses")):
+    for robot, track in by_robot(tables.get("poses")):
         element = ElementTree.SubElement(root, f"{{{_GPX}}}trk")
         ElementTree.SubElement(element, f"{{{_GPX}}}name").text = robot
         segment = ElementTree.SubElement(element, f"{{{_GPX}}}trkseg")
@@ -74,6 +74,11 @@ def gpx(frame: FieldFrame, tables: Tables, name: str) -> str:
             _gpx_point(segment, "trkpt", where, int(row["t_ns"]))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+
+
+def last_estimates(rows: np.ndarray | None) -> np.ndarray:
+    """The last estimates."""
+    return np.array([]) if rows is None or not len(rows) else rows[rows["t_ns"] == rows["t_ns"].max()]
 
 
 def _gpx_point(parent: Any, tag: str, lon_lat: Any, t_ns: Any) -> Any:
@@ -89,7 +94,7 @@ Shape = tuple[dict[str, Any], dict[str, Any]]
 
 def _features(frame: FieldFrame, tables: Tables) -> Iterator[Shape]:
     """(geometry, properties) of everything that has a place."""
-    for robot, track in _by_robot(tables.get("poses")):
+    for robot, track in by_robot(tables.get("poses")):
         line = [lon_lat(frame, float(row["east_m"]), float(row["north_m"])) for row in track]
         times = [iso(int(t)) for t in track["t_ns"]]
         # A line needs two points.
@@ -117,13 +122,12 @@ def _points(frame: FieldFrame, rows: np.ndarray | None, kind: str) -> Iterator[S
 
 def _sources(frame: FieldFrame, rows: np.ndarray | None) -> Iterator[Shape]:
     """The last estimates: a point and an ellipse each."""
-    if rows is None or not len(rows):
-        return
-    for row in rows[rows["t_ns"] == rows["t_ns"].max()]:
+    last = last_estimates(rows)
+    for row in last:
         east, north = float(row["east_m"]), float(row["north_m"])
         if not (math.isfinite(east) and math.isfinite(north)):
             continue
-        properties = {name: row[name].item() for name in rows.dtype.names or ()}
+        properties = {name: row[name].item() for name in last.dtype.names or ()}
         properties |= spoken(frame, east, north)
         title = f"source {row['ident']} ({row['state']})"
         yield (
@@ -164,7 +168,8 @@ def _cells(frame: FieldFrame, rows: np.ndarray | None) -> Iterator[Shape]:
         yield {"type": "Polygon", "coordinates": [ring]}, about
 
 
-def _by_robot(poses: np.ndarray | None) -> Iterator[tuple[str, np.ndarray]]:
+def by_robot(poses: np.ndarray | None) -> Iterator[tuple[str, np.ndarray]]:
+    """Each robot's track, in order of time."""
     if poses is None:
         return
     for robot in np.unique(poses["robot"]):

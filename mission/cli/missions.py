@@ -17,6 +17,7 @@ from mission.cli.options import (
     run_folder,
     say,
     shown_page,
+    told_maps,
 )
 
 if TYPE_CHECKING:
@@ -79,11 +80,11 @@ def run(
     say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
     with (
         shown_page(mission, page, page_host, page_port) as shown,
+        told_maps(mission) as others,
         Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
     ):
-        runner = fly(
-            mission, setup, folder / "mission.mcap", watch.show, page=shown, override=override, past=past
-        )
+        log = folder / "mission.mcap"
+        runner = fly(mission, setup, log, watch.show, page=shown, override=override, past=past, others=others)
     print_flown(runner, folder, as_json=as_json)
 
 

@@ -12,6 +12,7 @@ import typer
 if TYPE_CHECKING:
     from mission.core.mission_file import Mission
     from mission.page.serve import LivePage
+    from mission.shell.recorder import Follower
 
 PageOption = Annotated[bool, typer.Option("--page/--no-page", help="Serve the live page.")]
 HostOption = Annotated[
@@ -48,6 +49,21 @@ def shown_page(mission: "Mission", wanted: bool, host: str, port: int) -> "Itera
         if sys.stdin is not None and sys.stdin.isatty():
             say(HELP)
         yield shown
+
+
+@contextmanager
+def told_maps(mission: "Mission") -> "Iterator[tuple[Follower, ...]]":
+    """Whoever the mission file says is to be told by Cursor on Target."""
+    table = mission.file.maps
+    if not table.cot:
+        yield ()
+        return
+    from mission.maps.cot import CotSender
+    from mission.maps.present import Latest
+
+    say(f"Cursor on Target goes to {', '.join(table.cot)}")
+    with CotSender(Latest(mission), table.cot, table.cot_every_s) as sender:
+        yield (sender.latest,)
 
 
 def run_folder(out: Path) -> Path:

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mission.cli.options import HostOption, JsonOption, PageOption, PortOption, run_folder, say, shown_page
+from mission.cli.options import (
+    HostOption,
+    JsonOption,
+    PageOption,
+    PortOption,
+    run_folder,
+    say,
+    shown_page,
+    told_maps,
+)
 
 if TYPE_CHECKING:
     from mission.core.mission_file import Mission
@@ -37,6 +46,12 @@ def walk(
         int, typer.Option(min=1, help="How many there may be; the walk ends when all are found.")
     ] = 1,
     within_m: Annotated[float, typer.Option(min=0.5, help="A transmitter is found within this.")] = 10.0,
+    cot: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="URL", help="Tell ATAK and the like: udp://239.2.3.1:6969, tcp://HOST:PORT; repeat."
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this walk.")] = Path("runs"),
     page: PageOption = True,
     page_host: HostOption = "127.0.0.1",
@@ -57,16 +72,18 @@ def walk(
 
     folder = run_folder(out)
     given = {"--receiver": receiver, "--gnss": gnss, "--antenna": antenna}
-    mission = _mission(mission_file, folder, given, (size_m, rate_hz, float(sources), within_m))
+    numbers = (size_m, rate_hz, float(sources), within_m)
+    mission = _mission(mission_file, folder, given, numbers, tuple(cot or ()))
     setup = setups.live(mission)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     warm_up(mission)
     say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
     with (
         shown_page(mission, page, page_host, page_port) as shown,
+        told_maps(mission) as others,
         Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
     ):
-        runner = fly(mission, setup, folder / "mission.mcap", watch.show, page=shown)
+        runner = fly(mission, setup, folder / "mission.mcap", watch.show, page=shown, others=others)
     print_flown(runner, folder, as_json=as_json)
 
 
@@ -75,6 +92,7 @@ def _mission(
     folder: Path,
     given: dict[str, Any],
     numbers: tuple[float, float, float, float],
+    cot: tuple[str, ...],
 ) -> "Mission":
     """The mission of a file, or of what the options say. Raises `ConfigError`, `DeviceError`."""
     from fieldkit.errors import ConfigError
@@ -87,7 +105,9 @@ def _mission(
                 f"expected a mission file, or --receiver, --gnss and --antenna; missing: {', '.join(missing)}. "
                 "'fieldkit demo --walk lora' shows a walk without any device"
             )
-        mission_file = _written(folder, given, numbers)
+        mission_file = _written(folder, given, numbers, cot)
+    elif cot:
+        raise ConfigError(f"--cot: the mission file says whom it tells: [maps] cot = {list(cot)}")
     mission = read_mission(mission_file)
     if not mission.safety.on_foot:
         raise ConfigError(
@@ -96,7 +116,9 @@ def _mission(
     return mission
 
 
-def _written(folder: Path, given: dict[str, Any], numbers: tuple[float, float, float, float]) -> Path:
+def _written(
+    folder: Path, given: dict[str, Any], numbers: tuple[float, float, float, float], cot: tuple[str, ...]
+) -> Path:
     """A mission file in the walk's folder, its field round the first position. Raises `ConfigError`, `DeviceError`."""
     import asyncio
 
@@ -127,6 +149,7 @@ def _written(folder: Path, given: dict[str, Any], numbers: tuple[float, float, f
             rate_hz,
             expected,
             within_m,
+            cot=cot,
         )
     )
     write_whole(folder / "mission.toml", text)

@@ -1,6 +1,7 @@
 """The tables of mission.toml, checked as they are read: strict types, finite numbers within `fieldkit.settings`."""
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
@@ -15,6 +16,7 @@ from fieldkit.tuning import Tuning
 NEAR_DEG = 0.05
 """Corners as near as this to the origin's latitude and longitude are degrees, not metres."""
 LONGEST_NAME = 40
+COT_ADDRESS = re.compile(r"(udp|tcp)://[\w.-]+:\d{1,5}")
 
 
 def bounds(quantity: Quantity) -> Any:
@@ -190,6 +192,22 @@ class RecordingTable(Table):
     """A file that has grown so large is finished, and the recording goes on in the next; None: one file."""
 
 
+class MapsTable(Table):
+    """Whom else the mission tells what it knows; nobody unless it is said here."""
+
+    cot: Annotated[tuple[str, ...], Field(max_length=8)] = ()
+    """Cursor on Target: udp://239.2.3.1:6969 (what ATAK listens to by itself), udp://HOST:PORT, tcp://HOST:PORT."""
+    cot_every_s: float = value(given.COT_EVERY_S)
+
+    @field_validator("cot")
+    @classmethod
+    def _addresses(cls, addresses: tuple[str, ...]) -> tuple[str, ...]:
+        for address in addresses:
+            if not COT_ADDRESS.fullmatch(address):
+                raise ValueError(f"expected udp://HOST:PORT or tcp://HOST:PORT, got {address!r}")
+        return addresses
+
+
 class SafetyTable(Table):
     """Limits no command passes."""
 
@@ -291,6 +309,7 @@ class MissionFile(Table):
     """Values of `fieldkit.tuning` set anew, by table and key; for studies and what-ifs."""
     end: EndTable = EndTable()
     recording: RecordingTable = RecordingTable()
+    maps: MapsTable = MapsTable()
     safety: SafetyTable = SafetyTable()
     team: Annotated[tuple[TeamTable, ...], Field(min_length=1)]
     robot: Annotated[tuple[RobotTable, ...], Field(min_length=1)]

@@ -32,6 +32,8 @@ class WalkOptions:
     max_duration_s: float = 4 * 3600.0
     rate: float = 1.0
     """Of the mission's clock: limits of the steering loop are of wall time."""
+    cot: tuple[str, ...] = ()
+    """Whom it tells by Cursor on Target."""
 
 
 def walk_text(options: WalkOptions) -> str:
@@ -69,6 +71,7 @@ def walk_text(options: WalkOptions) -> str:
                 "stall_s": 600.0,
                 "min_separation_m": 0.5,
             },
+            **({"maps": {"cot": list(o.cot)}} if o.cot else {}),
             "team": [{"robots": [o.person]}],
             "positions": [{"driver": "gnss", "robots": {o.person: o.gnss}}],
             "robot": [

@@ -31,12 +31,14 @@ class Present:
     frame: FieldFrame
     t_ns: int
     """UTC, by the mission's clock; 0 before its first tick."""
+    began_ns: int
     poses: tuple[Pose, ...]
     """The newest of each robot that has one."""
     sources: tuple[SourceEstimate, ...]
     """Those of which a position is claimed."""
     marks: tuple[Mark, ...]
     on_foot: frozenset[str]
+    flying: frozenset[str]
 
 
 class Latest:
@@ -44,7 +46,7 @@ class Latest:
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
-        self._t_ns = 0
+        self._t_ns = self._began_ns = 0
         self._poses: dict[str, Pose] = {}
         self._sources: tuple[SourceEstimate, ...] = ()
         self._marks: tuple[Mark, ...] = ()
@@ -56,10 +58,12 @@ class Latest:
             self._mission.file.name,
             self._mission.frame,
             self._t_ns,
+            self._began_ns,
             poses,
             self._sources,
             self._marks,
             self._mission.safety.on_foot,
+            frozenset(self._mission.safety.altitude_m),
         )
 
     def event(self, inbox_number: int, log_time_ns: int, event: Event) -> None:
@@ -68,6 +72,7 @@ class Latest:
             case Pose():
                 self._poses[event.robot] = event
             case Tick():
+                self._began_ns = self._began_ns or event.t_ns
                 self._t_ns = event.t_ns
             case Operator(action="mark") if (pose := self._poses.get(event.robot or "")) is not None:
                 mark = Mark(len(self._marks) + 1, pose.robot, pose.east_m, pose.north_m, event.t_ns)

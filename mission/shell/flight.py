@@ -12,6 +12,7 @@ from fieldkit.world.sources import TransientSource
 from mission.core.mission_file import Mission
 from mission.shell import setups
 from mission.shell.keyboard import keyboard
+from mission.shell.recorder import Follower
 from mission.shell.runner import Progress, Runner
 
 if TYPE_CHECKING:
@@ -29,10 +30,12 @@ def fly(
     page: "LivePage | None" = None,
     override: str = "",
     past: Recording | None = None,
+    others: tuple[Follower, ...] = (),
 ) -> Runner:
     """Run a mission on a setup with a recording; the runner, ended. The recording is closed whatever happens.
 
-    With `past`, the recording of a mission that was interrupted, it goes on from there; the new recording holds all.
+    `others` are told everything that is recorded, beside the page. With `past`, the recording of a mission that was
+    interrupted, it goes on from there; the new recording holds all.
     """
     metadata: dict[str, Any] = {
         "mission": mission.file.name,
@@ -56,7 +59,7 @@ def fly(
         start_ns=setup.clock.now_ns() if past is None else 0,
         rotate_bytes=None if rotate_mb is None else round(rotate_mb * 1e6),
     ) as recorder:
-        followers = () if page is None else (page.follower,)
+        followers = others if page is None else (page.follower, *others)
         runner = Runner(mission, setup, recorder, on_progress, followers, override)
 
         if past is not None:
