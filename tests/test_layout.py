@@ -19,6 +19,7 @@ LONG_FUNCTIONS: dict[str, str] = {
     "calibration/cli_collect.py collect": OPTIONS,
     "drivers/positions/cli.py survey": OPTIONS,
     "mission/cli/missions.py replay": OPTIONS,
+    "mission/cli/walk.py walk": OPTIONS,
     "mission/core/template.py mission_text": "what may be chosen, with defaults, and where each goes in the text",
     "fieldkit/engine/belief/intensity/loops.py attribute": LOOP,
     "fieldkit/engine/likelihood/correlated_loops.py log_marginal": LOOP,

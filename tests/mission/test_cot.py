@@ -287,6 +287,12 @@ def test_nobody_is_told_unless_the_file_says_so() -> None:
     assert len(said.maps.cot) == 2
 
 
+def test_a_walk_without_a_file_tells_whom_it_is_told_to() -> None:
+    receiver = {"driver": "lines", "port": "-", "map": "rylr"}
+    options = WalkOptions(receiver, "/dev/x", "a.toml", (47.0, 8.0), cot=("udp://239.2.3.1:6969",))
+    assert parse_mission(walk_text(options), "walk").maps.cot == ("udp://239.2.3.1:6969",)
+
+
 @pytest.mark.parametrize(
     "address", ["239.2.3.1:6969", "http://x:1", "udp://239.2.3.1", "tcp://a b:1", "udp://[x]:y"]
 )
