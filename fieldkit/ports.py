@@ -36,8 +36,8 @@ class Demands:
     """`fence_m` is in the vehicle: the mission has had it put there, and relies on it."""
     field_m: tuple[tuple[float, float], ...] = ()
     """Corners of where the mission drives; a fence of the vehicle's own must leave room for that."""
-    min_separation_m: float = 0.0
-    """Between way-points of different robots; 0: it is alone."""
+    turn_radius_m: float | None = None
+    """How wide the mission takes it to turn; None: it is alone, and may turn as it likes."""
 
 
 @dataclass(frozen=True, slots=True)

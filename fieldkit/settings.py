@@ -134,6 +134,11 @@ BRAKING_M = Quantity(0.0, 0.0, 1_000.0, "m", "how far a robot rolls on after a h
 BRAKING_DECELERATION_M_S2 = 0.5
 BRAKING_DELAY_S = 0.25
 """Braking of a robot that nobody has measured: the simulated ArduRover rolls 0.9 to 1.5 m at 1 m/s, this gives 1.25."""
+TURN_RADIUS_M = Quantity(0.0, 0.0, 100.0, "m", "the circle that a robot turns in, at the limit of speed")
+TURN_S = 0.6
+WIDEST_TURN_M = 2.0
+"""Turning of a robot that nobody has measured: what it drives in `TURN_S`, as the simulated ArduRover at 1.5 m/s does
+(TURN_RADIUS 0.9); no wider than one can build for a field."""
 FLIGHT_ALTITUDE_M = Quantity(
     10.0, 1.0, 500.0, "m", "height above home at which the lowest flying robot works"
 )
@@ -142,6 +147,11 @@ FLIGHT_ALTITUDE_M = Quantity(
 def braking_m(max_speed_m_s: float) -> float:
     """How far a robot rolls on at `max_speed_m_s` after it was told to hold, where it was not measured."""
     return BRAKING_DELAY_S * max_speed_m_s + max_speed_m_s**2 / (2.0 * BRAKING_DECELERATION_M_S2)
+
+
+def turn_radius_m(max_speed_m_s: float) -> float:
+    """How wide a robot on wheels turns, where nobody says."""
+    return min(WIDEST_TURN_M, TURN_S * max_speed_m_s)
 
 
 def arrive_m(max_speed_m_s: float, pose_sigma_m: float) -> float:

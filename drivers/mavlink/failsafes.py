@@ -21,8 +21,8 @@ IN_HOLD = 1
 GOES_ON_WITH_PILOT = 16
 """FS_OPTIONS of a copter: in modes that a pilot flies, and Brake counts as one, the failsafe does nothing."""
 BOAT = 2
-SWING_RADII = 2.0
-"""A car that turns round swings by so many turning radii to the side."""
+TURNS_WIDER = 1.05
+"""A vehicle may turn wider than its mission reckons with, by rounding."""
 TERMINATE = 5
 """BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
 
@@ -256,16 +256,13 @@ def _fence(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]:
 
 
 def _turning(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]:
-    """Whether two that set out beside each other, each swinging wide, may touch: safety reckons with straight ways."""
-    needs_m = 2.0 * SWING_RADII * judge["TURN_RADIUS"]
-    if firmware is not ROVER or not 0.0 < demands.min_separation_m < needs_m:
+    """Whether it turns wider than the mission reckons with: it swings towards its neighbours before it is on its way."""
+    turns_in_m = judge["TURN_RADIUS"] if firmware is ROVER else 0.0
+    if demands.turn_radius_m is None or turns_in_m <= TURNS_WIDER * demands.turn_radius_m:
         return []
-    found = (
-        f"TURN_RADIUS is {judge['TURN_RADIUS']:g} m: two that turn side by side need {needs_m:.1f} m, and "
-        f"safety.min_separation_m is {demands.min_separation_m:g}"
-    )
-    remedy = f"safety.min_separation_m = {needs_m:.1f} in the mission file, or start them well apart"
-    return [Check(judge.robot, "separation", "amber", found, remedy)]
+    found = f"TURN_RADIUS is {turns_in_m:g} m; the mission reckons with {demands.turn_radius_m:.2g} m"
+    remedy = f"safety.turn_radius_m = {turns_in_m:g} in the mission file"
+    return [Check(judge.robot, "turning", "amber", found, remedy)]
 
 
 def _speed(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]:

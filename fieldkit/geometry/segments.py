@@ -3,8 +3,31 @@
 import math
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Protocol
 
 Place = tuple[float, float]
+
+
+class Driven(Protocol):
+    """A way that is driven in time: a straight segment, or a path that begins with a turn (`geometry.turns`)."""
+
+    @property
+    def start_m(self) -> Place: ...
+    @property
+    def length_m(self) -> float: ...
+    @property
+    def knots_s(self) -> tuple[float, ...]:
+        """When its velocity changes. It is straight and steady in between."""
+        ...
+
+    @property
+    def legs(self) -> "tuple[Segment, ...]":
+        """Its straight pieces."""
+        ...
+
+    def at(self, t_s: float) -> Place:
+        """Where it is after `t_s`."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +48,14 @@ class Segment:
         takes_s = length_m / self.speed_m_s if self.speed_m_s > 0 else 0.0
         object.__setattr__(self, "arrival_s", self.delay_s + takes_s)
 
+    @property
+    def knots_s(self) -> tuple[float, ...]:
+        return (self.delay_s, self.arrival_s)
+
+    @property
+    def legs(self) -> "tuple[Segment, ...]":
+        return (self,)
+
     def at(self, t_s: float) -> Place:
         """Where it is after `t_s`."""
         if self.length_m == 0 or self.speed_m_s <= 0:
@@ -39,26 +70,28 @@ def standing(place_m: Place) -> Segment:
     return Segment(place_m, place_m)
 
 
-def nearest_m(one: Segment, other: Segment, one_late_s: float = 0.0, other_late_s: float = 0.0) -> float:
+def nearest_m(one: Driven, other: Driven, one_late_s: float = 0.0, other_late_s: float = 0.0) -> float:
     """The least distance between two robots that set out now, or so much later, each at its speed."""
     moments = {
         0.0,
-        one.delay_s + one_late_s,
-        other.delay_s + other_late_s,
-        one.arrival_s + one_late_s,
-        other.arrival_s + other_late_s,
+        *(knot_s + one_late_s for knot_s in one.knots_s),
+        *(knot_s + other_late_s for knot_s in other.knots_s),
     }
     apart = [_apart(one.at(t_s - one_late_s), other.at(t_s - other_late_s)) for t_s in sorted(moments)]
     return min((_from_origin(a, b) for a, b in pairwise(apart)), default=math.hypot(*apart[-1]))
 
 
-def keep_apart_m(one: Segment, other: Segment) -> float:
+def keep_apart_m(one: Driven, other: Driven) -> float:
     """A distance they cannot come nearer than, whatever their speeds: quickly told, and rarely more than needed."""
     return math.dist(one.start_m, other.start_m) - one.length_m - other.length_m
 
 
-def ever_m(one: Segment, other: Segment) -> float:
-    """The least distance between two segments, whenever they are driven."""
+def ever_m(one: Driven, other: Driven) -> float:
+    """The least distance between two ways, whenever they are driven."""
+    return min(_ever_m(a, b) for a in one.legs for b in other.legs)
+
+
+def _ever_m(one: Segment, other: Segment) -> float:
     if _cross(one, other):
         return 0.0
     return min(

@@ -28,11 +28,13 @@ TABLES = {
     "safety": SafetyTable(),
 }
 """The tables that decide what a mission does, as an empty file has them."""
+SINCE = {("safety", "turn_radius_m"): 0.0}
+"""Keys that came later and would change a mission by default: what was done before they were there."""
 
 
 def left_open(file: MissionFile) -> dict[str, dict[str, Any]]:
-    """What a mission file does not say, and what it was by default: table, key, value."""
-    return {
+    """What a mission file does not say, and what it was by default or is estimated as: table, key, value."""
+    opened = {
         name: {
             key: value
             for key, value in _plain(getattr(file, name)).items()
@@ -40,14 +42,23 @@ def left_open(file: MissionFile) -> dict[str, dict[str, Any]]:
         }
         for name in TABLES
     }
+    if file.safety.turn_radius_m is None:
+        opened["safety"]["turn_radius_m"] = file.turn_radius_m
+    return opened
 
 
 def filled_in(text: str, recorded: Mapping[str, Mapping[str, Any]]) -> str:
     """A mission file with what it left open as recorded, where today's default is another.
 
+    A recording that says nothing of a table leaves it to today's defaults.
+
     Raises `ValueError` for a key that today's mission files do not have.
     """
-    missing = {}
+    missing: dict[tuple[str, str], Any] = {
+        (name, key): value
+        for (name, key), value in SINCE.items()
+        if key not in recorded.get(name, {key: value})
+    }
     for name, keys in recorded.items():
         today = _plain(TABLES[name]) if name in TABLES else {}
         for key, value in keys.items():

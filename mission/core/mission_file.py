@@ -248,6 +248,7 @@ def _safety(file: MissionFile) -> SafetySettings:
         battery=BatteryLimits(table.battery_reserve_pct, table.battery_pct_per_m, table.battery_low_v),
         vertical_separation_m=table.vertical_separation_m,
         braking_m=braking_m,
+        turn_radius_m=file.turn_radius_m,
         altitude_m=file.altitudes_m(),
         on_foot=frozenset(robot.name for robot in file.robot if robot.on_foot),
     )

@@ -229,6 +229,8 @@ class SafetyTable(Table):
     """A robot whose battery has sunk to this goes home; 0: only per cent are watched."""
     braking_m: Annotated[float, bounds(given.BRAKING_M)] | None = None
     """How far a robot rolls on at the limit of speed; estimated where not given."""
+    turn_radius_m: Annotated[float, bounds(given.TURN_RADIUS_M)] | None = None
+    """The circle that robots on wheels turn in; estimated where not given, 0 where they turn on the spot."""
     vehicle_fence: Flag = False
     """Whether the vehicles get a fence of their own, round the whole field, for the time of the mission."""
     vehicle_fence_beyond_m: float = value(given.VEHICLE_FENCE_BEYOND_M)
@@ -324,6 +326,12 @@ class MissionFile(Table):
     def bounds(self) -> KeepOut:
         """What robots must keep out of, fence included, with that margin."""
         return KeepOut(self.field.keep_out, self.field.border, self.margin_m)
+
+    @property
+    def turn_radius_m(self) -> float:
+        """How wide robots on wheels turn: as the file says, or estimated."""
+        given_m = self.safety.turn_radius_m
+        return given.turn_radius_m(self.safety.max_speed_m_s) if given_m is None else given_m
 
     def altitudes_m(self) -> dict[str, float]:
         """Robots that fly, and how high: each where the file says, the others one above the other.

@@ -80,6 +80,7 @@ battery_reserve_pct = {reserve_pct}   # a robot goes home with this much left, o
 # battery_pct_per_m = 0.02   # what a metre costs; half as much again is kept for the way home
 # battery_low_v = 10.5       # or: home at this voltage, where the vehicle's per cent say little
 # braking_m = 1.0            # how far a robot rolls on after a hold, at the limit of speed; else estimated
+# turn_radius_m = 0.9        # the circle that a robot turns in, 0 for one that turns on the spot; else estimated
 # robots that fly: flies = true in their [[robot]] table, or altitude_m = 12.0
 
 # [[positions]]              # where robots are, if not from their own telemetry: see docs/camera.md

@@ -58,6 +58,8 @@ class SafetySettings:
     battery: BatteryLimits = field(default_factory=BatteryLimits)
     braking_m: float = 0.0
     """How far a robot rolls on after it was told to hold."""
+    turn_radius_m: float = given.TURN_RADIUS_M.default
+    """The circle that robots on wheels turn in; 0: they turn on the spot."""
     altitude_m: Mapping[str, float] = field(default_factory=dict, hash=False)
     """Robots that fly, and how high."""
     on_foot: frozenset[str] = frozenset()
@@ -67,6 +69,10 @@ class SafetySettings:
     def near_m(self) -> float:
         """Robots nearer than this are too near: half the separation of way-points."""
         return 0.5 * self.min_separation_m
+
+    def turns_in_m(self, robot: str) -> float:
+        """The radius that one robot turns in: what flies turns on the spot, and people do."""
+        return 0.0 if robot in self.altitude_m or robot in self.on_foot else self.turn_radius_m
 
     @property
     def bounds(self) -> KeepOut:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from fieldkit.geometry.segments import Place, Segment, standing
+from fieldkit.geometry.turns import Path, turning
 from fieldkit.messages import Pose, ReceiverState, VehicleState
 from mission.safety.limits import SafetySettings
 
@@ -83,6 +84,8 @@ class Watched:
     """The last tick."""
     velocity_m_s: Place = (0.0, 0.0)
     """East and north, smoothed over about a second."""
+    says_heading: bool = False
+    """Its positions come with a heading: some sources know none, and say 0 throughout."""
     sent_ns: int = LONG_AGO_NS
     """When it was given the segment it is on."""
     ours: bool = False
@@ -177,6 +180,19 @@ class Watched:
             return False
         return math.hypot(*self.velocity_m_s) < 0.5 * self.target.speed_m_s
 
+    @property
+    def heading_deg(self) -> float | None:
+        """Where it looks, clockwise from north: as it says, or as it drives; None where neither tells."""
+        if self.pose is not None and self.says_heading:
+            return self.pose.heading_deg
+        if math.hypot(*self.velocity_m_s) < SLOW_M_S:
+            return None
+        return math.degrees(math.atan2(*self.velocity_m_s))
+
+    def way(self, segment: Segment, settings: SafetySettings) -> Segment | Path:
+        """How it drives `segment`, from where it looks now."""
+        return turning(segment, self.heading_deg, settings.turns_in_m(self.name))
+
     def drift(self, ahead_s: float) -> Segment | None:
         """Where it will be soon, by how it has moved; for those that others steer, or nobody."""
         here = self.place_m
@@ -207,6 +223,7 @@ class Watched:
                     v + share * (d / passed_s - v) for v, d in zip(self.velocity_m_s, moved, strict=True)
                 )
         self.pose = pose
+        self.says_heading = self.says_heading or pose.heading_deg != 0.0
         self.home_m = self.home_m or (pose.east_m, pose.north_m)
         self._get_on(pose, settings)
         self._mind_bounds(pose, settings)

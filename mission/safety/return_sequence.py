@@ -7,12 +7,12 @@ last resort, for one that does not get on by way-points. Where nobody can set ou
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from fieldkit.geometry.polygons import KeepOut
 from fieldkit.geometry.routes import route
-from fieldkit.geometry.segments import Place, Segment, ever_m, standing
+from fieldkit.geometry.segments import Driven, Place, Segment, ever_m, standing
 from fieldkit.messages import CallOperator, Command, GoTo, Hold, Land, Return, Waypoint
 from fieldkit.settings import REPEAT_S
 from mission.safety.limits import SafetySettings
@@ -198,16 +198,16 @@ class ReturnSequence:
         settings: SafetySettings,
     ) -> bool:
         """Whether its path, from where it is, keeps clear of all the others."""
-        mine = [Segment(a, b) for a, b in itertools.pairwise(path)]
+        mine = _ways(robot, path, settings)
         for other in robots.values():
             if other is robot or other.place_m is None or are_layered(robot, other, settings):
                 continue
             trip = self.under_way.get(other.name)
             if trip is not None:
-                ahead = (other.place_m, *trip.path[trip.leg :])
-                theirs = [Segment(a, b) for a, b in itertools.pairwise(ahead)]
+                theirs = _ways(other, (other.place_m, *trip.path[trip.leg :]), settings)
             else:
-                theirs = [other.unseen(settings) or other.segment() or standing(other.place_m)]
+                left = other.segment() or standing(other.place_m)
+                theirs = [other.unseen(settings) or other.way(left, settings)]
             # Side by side is where robots start: only a path that comes nearer than now is in the way.
             limit_m = min(settings.near_m * 1.2, math.dist(path[0], other.place_m) - 0.01)
             if any(ever_m(one, two) < limit_m for one in mine for two in theirs):
@@ -227,6 +227,12 @@ class ReturnSequence:
                 CallOperator(now_ns, name, f"its way home is blocked; it stays where it is: {reason}")
             )
         return commands
+
+
+def _ways(robot: Watched, path: Sequence[Place], settings: SafetySettings) -> list[Driven]:
+    """What it drives along `path`: it begins with a turn."""
+    first, *rest = (Segment(a, b) for a, b in itertools.pairwise(path))
+    return [robot.way(first, settings), *rest]
 
 
 def _place_of(robot: Watched) -> Place | None:

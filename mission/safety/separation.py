@@ -1,14 +1,16 @@
 """How near robots come to each other: on new segments before they are given, and while they drive. Pure.
 
 A robot may still be doing what it was told before: its occupancy holds all that is possible. One whose position is
-old may be anywhere on what it can have driven since. Robots that fly one above the other do not meet.
+old may be anywhere on what it can have driven since. Robots that fly one above the other do not meet. One on wheels
+turns wide: it swings to the side before it is on its way, towards a neighbour too.
 """
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from fieldkit.geometry.segments import (
+    Driven,
     Place,
     Segment,
     ever_m,
@@ -17,6 +19,7 @@ from fieldkit.geometry.segments import (
     nearest_m,
     standing,
 )
+from fieldkit.geometry.turns import is_behind, turning, until
 from mission.safety.limits import SafetySettings
 from mission.safety.monitor import Watched
 
@@ -25,6 +28,8 @@ STARTS_S = 4.0
 AT_ONCE = ((0.0, 0.0),)
 _DELAYS_S = [STARTS_S * k / 5 for k in range(1, 6)]
 LATE_STARTS = (*AT_ONCE, *((late_s, 0.0) for late_s in _DELAYS_S), *((0.0, late_s) for late_s in _DELAYS_S))
+TURNS_ROUND = 2.0
+"""A robot that turns round gets no further from its segment than so many turning radii."""
 SLACK_M = 1e-6
 """More than rounding: what a quick look finds this much too far apart is so by a closer one too."""
 CLEAR_OF_NEAR = 1.2
@@ -66,6 +71,8 @@ def conflict(
     if robot.name in settings.on_foot:
         return ""
     limit_m = CLEAR_OF_NEAR * settings.near_m
+    swing_m = 2.0 * TURNS_ROUND * settings.turn_radius_m
+    turns = _turns(robot, segment, settings)
     for name, occupancy in occupied.items():
         if name == robot.name or name in undecided or are_layered(robot, occupancy.robot, settings):
             continue
@@ -76,15 +83,35 @@ def conflict(
             continue
         given = new.get(name)
         for other in occupancy.segments if given is None else (given,):
-            if keep_apart_m(segment, other) >= limit_m:  # a short cut
+            if keep_apart_m(segment, other) >= limit_m + swing_m:  # a short cut
                 continue
             least_m = min(limit_m, math.dist(segment.start_m, other.start_m) - 0.01)
-            if ever_m(segment, other) > least_m + SLACK_M:  # a short cut: clear whenever they start
-                continue
-            nearest = min(nearest_m(segment, other, a, b) for a, b in _starts(other))
+            nearest = _nearest_m(segment, other, least_m)
             if nearest < least_m:
                 return f"its path comes within {nearest:.2f} m of {name}"
+            for mine in turns:
+                for theirs in _turns(occupancy.robot, other, settings):
+                    nearest = _nearest_m(mine, theirs, least_m)
+                    if nearest < least_m:
+                        return f"turning, it comes within {nearest:.2f} m of {name}"
     return ""
+
+
+def _nearest_m(one: Driven, other: Driven, least_m: float) -> float:
+    """How near two come at any start of theirs; no closer look where that is more than `least_m` anyway."""
+    ever = ever_m(one, other)
+    if ever > least_m + SLACK_M:
+        return ever
+    return min(nearest_m(one, other, a, b) for a, b in _starts(other))
+
+
+def _turns(robot: Watched, segment: Segment, settings: SafetySettings) -> tuple[Driven, ...]:
+    """How it may turn on its way; one sent back where it came from, to either side."""
+    radius_m, heading_deg = settings.turns_in_m(robot.name), robot.heading_deg
+    way = turning(segment, heading_deg, radius_m)
+    if radius_m == 0.0 or not is_behind(segment, heading_deg):
+        return (way,)
+    return way, turning(segment, heading_deg, radius_m, wrong_way=True)
 
 
 def are_layered(one: Watched, other: Watched, settings: SafetySettings) -> bool:
@@ -136,7 +163,7 @@ class _Moment:
 
     robot: Watched
     place_m: Place
-    soon: Segment
+    soon: Driven
     somewhere: Segment | None
     """Where it may be, if its position is old."""
     reach_m: float = field(init=False)
@@ -155,7 +182,7 @@ def _moment(robot: Watched, homeward: Mapping[str, Segment], settings: SafetySet
     here, segment = left.start_m, homeward.get(robot.name, left)
     ahead_s = SOON_S + settings.braking_m / max(settings.max_speed_m_s, 1e-3)
     obeys = segment.length_m and not robot.strays
-    soon = replace(segment, end_m=segment.at(ahead_s)) if obeys else robot.drift(ahead_s)
+    soon = until(robot.way(segment, settings), ahead_s) if obeys else robot.drift(ahead_s)
     return _Moment(robot, here, soon or standing(here), robot.unseen(settings))
 
 
@@ -167,7 +194,8 @@ def _must_yield(
     for mover, other in ((second, first), (first, second)):
         if other.somewhere is None or mover.robot.name not in drives:
             continue
-        if ever_m(mover.soon, other.somewhere) < near_m and not leaves(mover.soon, other.somewhere, near_m):
+        straight = Segment(mover.place_m, mover.soon.legs[-1].end_m)
+        if ever_m(mover.soon, other.somewhere) < near_m and not leaves(straight, other.somewhere, near_m):
             return mover.robot
     one, two = first.soon, second.soon
     if keep_apart_m(one, two) >= near_m:  # a short cut
@@ -191,6 +219,6 @@ def _past_a_slow_one(first: _Moment, second: _Moment, limit_m: float) -> Watched
     return None
 
 
-def _starts(other: Segment) -> tuple[tuple[float, float], ...]:
+def _starts(other: Driven) -> tuple[tuple[float, float], ...]:
     """Delays of the one and the other to look at: close enough to each other to miss no meeting in between."""
     return AT_ONCE if other.length_m == 0 else LATE_STARTS

@@ -23,8 +23,8 @@ Note = Callable[[str, str], None]
 def demands_of(mission: Mission) -> Demands:
     """What the vehicles are judged by."""
     corners = tuple(mission.vehicle_fence_m)
-    apart_m = mission.safety.min_separation_m if len(mission.safety.robots) > 1 else 0.0
-    return Demands(mission.safety.max_speed_m_s, corners, bool(corners), tuple(mission.fence_m), apart_m)
+    turns_in_m = mission.safety.turn_radius_m if len(mission.safety.robots) > 1 else None
+    return Demands(mission.safety.max_speed_m_s, corners, bool(corners), tuple(mission.fence_m), turns_in_m)
 
 
 @dataclass

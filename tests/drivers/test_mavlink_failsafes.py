@@ -35,14 +35,12 @@ def judged(firmware, values, demands=LIMIT):
     return found
 
 
-@pytest.mark.parametrize(("apart_m", "level"), [(0.0, None), (0.5, "amber"), (3.59, "amber"), (3.6, None)])
-def test_cars_that_turn_wide_need_room_between_them(apart_m, level):
-    demands = Demands(1.0, (), False, (), apart_m)
-    assert judged(ROVER, ROVER_GOOD | {"TURN_RADIUS": 0.9}, demands).get("separation") == level
-    assert "separation" not in judged(ROVER, ROVER_GOOD | {"TURN_RADIUS": 0.0}, demands), (
-        "it turns on the spot"
-    )
-    assert "separation" not in judged(COPTER, COPTER_GOOD, demands)
+@pytest.mark.parametrize(("reckoned_m", "level"), [(None, None), (0.0, "amber"), (0.6, "amber"), (0.9, None)])
+def test_a_car_that_turns_wider_than_the_mission_reckons_with(reckoned_m, level):
+    demands = Demands(1.0, (), False, (), reckoned_m)
+    assert judged(ROVER, ROVER_GOOD | {"TURN_RADIUS": 0.9}, demands).get("turning") == level
+    assert "turning" not in judged(ROVER, ROVER_GOOD | {"TURN_RADIUS": 0.0}, demands), "it turns on the spot"
+    assert "turning" not in judged(COPTER, COPTER_GOOD, demands)
 
 
 @pytest.mark.parametrize(("firmware", "good"), [(ROVER, ROVER_GOOD), (COPTER, COPTER_GOOD), (PX4, PX4_GOOD)])

@@ -41,8 +41,7 @@ def of_older_defaults(header: Header) -> Header:
 
 def test_a_recording_keeps_what_its_mission_file_left_open(log: Path) -> None:
     recording = open_recording(log)
-    file = recorded_mission(recording).file
-    assert recording.metadata["defaults"] == left_open(file)
+    assert recording.metadata["defaults"] == left_open(parse_mission(recording.mission_toml, "x"))
     said = {key for table in recording.metadata["defaults"].values() for key in table}
     assert "max_leg_m" in said and "place_noise" not in said and "planner" not in said
 
@@ -103,11 +102,28 @@ def test_a_key_that_is_gone_is_refused_with_the_version_that_had_it(
 
 def test_a_file_that_says_everything_leaves_nothing_open(log: Path) -> None:
     text = open_recording(log).mission_toml
-    assert filled_in(text, left_open(parse_mission(text, "x"))) == text, "today's defaults change nothing"
+    again = filled_in(text, left_open(parse_mission(text, "x")))
+    estimated = f"turn_radius_m = {parse_mission(text, 'x').turn_radius_m}\n"
+    assert again.replace(estimated, "") == text, (
+        "today's defaults change nothing, and what is estimated is said"
+    )
     other = {"safety": {"max_leg_m": 7.0}, "end": {"periods_without_find": 9}}
     file = parse_mission(filled_in(text, other), "x")
     assert file.safety.max_leg_m == 7.0 and file.end.periods_without_find == 9
     assert "max_leg_m" not in left_open(file)["safety"]
+
+
+def test_a_recording_from_before_turns_were_known_has_robots_that_turn_on_the_spot(
+    log: Path, tmp_path: Path
+) -> None:
+    def edit(header: Header) -> Header:
+        defaults = header["metadata"]["defaults"]
+        safety = {key: value for key, value in defaults["safety"].items() if key != "turn_radius_m"}
+        return header | {"metadata": header["metadata"] | {"defaults": defaults | {"safety": safety}}}
+
+    old = edited(log, tmp_path / "before.mcap", edit)
+    assert recorded_mission(open_recording(old)).safety.turn_radius_m == 0.0
+    assert recorded_mission(open_recording(log)).safety.turn_radius_m > 0.0
 
 
 def test_what_is_left_open_is_plain(log: Path) -> None:
