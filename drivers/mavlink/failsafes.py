@@ -256,7 +256,7 @@ def _fence(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]:
 
 
 def _turning(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]:
-    """Whether it turns wider than the mission reckons with: it swings towards its neighbours before it is on its way."""
+    """Whether it turns wider than the mission reckons with: it swings to the side before it is on its way."""
     turns_in_m = judge["TURN_RADIUS"] if firmware is ROVER else 0.0
     if demands.turn_radius_m is None or turns_in_m <= TURNS_WIDER * demands.turn_radius_m:
         return []

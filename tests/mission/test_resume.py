@@ -140,7 +140,7 @@ def test_a_robot_that_is_silent_at_the_resume_keeps_none_of_the_others_from_goin
         for _, t_ns, _, c in after
         if isinstance(c, Hold) and c.robot != "r4" and t_ns > resumed_ns and "mission is over" not in c.reason
     }
-    assert all(reason.startswith("its path comes within") for reason in refused), refused
+    assert all(" comes within " in reason for reason in refused), refused
     assert runner.safety.robots["r4"].ordered == "withdraw"
     assert replay(tmp_path / "second.mcap").complete
 
