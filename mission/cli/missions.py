@@ -292,11 +292,15 @@ def check(
     """
     from mission.core.advice import advise
     from mission.core.mission_file import read_mission
+    from mission.page.background import read_background
     from mission.shell import setups
 
     mission = read_mission(mission_file)
     setups.live(mission)  # drivers check their own options when they are made
     advice = advise(mission)
+    background = read_background(mission)
+    if background is not None and background.covered < 0.99:
+        advice.append(f"field.background shows {background.covered:.0%} of the field")
     if as_json:
         print_json({"mission": str(mission_file), "ok": True, "advice": advice})
         return

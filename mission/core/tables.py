@@ -56,6 +56,10 @@ class FieldTable(Table):
     """Polygons of (east, north) that no robot may enter."""
     fence: tuple[Corner, ...] = ()
     """A polygon of (east, north) that no robot may leave, inside the rectangle; empty: the rectangle itself."""
+    background: str = ""
+    """A picture under the page's map: an MBTiles file, or a picture with a world file, or a GeoTIFF."""
+    background_crs: str = ""
+    """The coordinates of its world file, where they are no degrees: EPSG:32632, EPSG:3857, local."""
 
     @property
     def border(self) -> tuple[Place, ...]:

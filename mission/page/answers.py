@@ -3,6 +3,7 @@
     /where?east_m=..&north_m=..   a place as latitude and longitude, UTM, MGRS
     /sources.geojson              what there is now; /sources.ndjson gives it again and again, a line each
     /network.kml                  a link for Google Earth, which fetches /present.kml
+    /background/NAME              pictures under the map
 
 Everything here only looks. Places where robots are and were are as open as the page itself.
 """
@@ -21,6 +22,7 @@ from fieldkit.geo import FieldFrame
 from mission.maps import kml
 from mission.maps.geojson import collection
 from mission.maps.present import Present
+from mission.page.background import Background
 
 EVERY_S = 1.0
 """Between lines of the stream; none is sent while nothing has changed."""
@@ -35,8 +37,11 @@ Answer = Callable[[Request], Awaitable[Response]]
 class Answers:
     """For one mission or recording. Asked in the server's loop."""
 
-    def __init__(self, frame: FieldFrame, present: Callable[[], Present]) -> None:
+    def __init__(
+        self, frame: FieldFrame, present: Callable[[], Present], background: Background | None = None
+    ) -> None:
         self._frame, self._present = frame, present
+        self._pictures = {each.name: each for each in background.pictures} if background else {}
         self._streams = 0
         self._ending, self._ended = asyncio.Event(), asyncio.Event()
         self._ended.set()
@@ -54,6 +59,7 @@ class Answers:
             "/sources.ndjson": self._stream,
             "/present.kml": self._kml,
             "/network.kml": self._link,
+            "/background/{name}": self._background,
         }
 
     async def _where(self, request: Request) -> Response:
@@ -70,6 +76,12 @@ class Answers:
                 **asdict(coordinates(lat_deg, lon_deg)),
             }
         )
+
+    async def _background(self, request: Request) -> Response:
+        picture = self._pictures.get(request.path_params["name"])
+        if picture is None:
+            return PlainTextResponse("there is no such picture", 404)
+        return Response(picture.data, media_type=picture.media_type, headers=_KEPT)
 
     async def _geojson(self, request: Request) -> Response:
         return Response(_text(self._present()), media_type="application/geo+json", headers=_FRESH)
@@ -107,6 +119,7 @@ class Answers:
         return Response(link, media_type=kml.MEDIA_TYPE, headers=_FRESH)
 
 
+_KEPT = {"Cache-Control": "max-age=3600", "X-Content-Type-Options": "nosniff"}
 _FRESH = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff"}
 
 

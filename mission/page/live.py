@@ -24,13 +24,12 @@ class LiveShow:
         self._mailboxes: list[Mailbox] = []
         self._newcomers: deque[Mailbox] = deque()
         self._shown_ns = -FRAME_NS
-        self._hello = json.dumps(view.hello() | {"live": True})
 
     # -- the server's thread ---------------------------------------------------------------------------------
 
     def open(self, mailbox: Mailbox) -> None:
         """The past is sent at the mission's next tick."""
-        mailbox.put("hello", self._hello)
+        mailbox.put("hello", json.dumps(self.view.hello() | {"live": True}))
         self._newcomers.append(mailbox)
 
     def close(self, mailbox: Mailbox) -> None:

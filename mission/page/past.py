@@ -11,6 +11,7 @@ from typing import Any
 from fieldkit.clock import RealClock
 from fieldkit.messages import Tick
 from fieldkit.recording.reader import Recording
+from mission.page.background import background_or_none
 from mission.page.server import Mailbox
 from mission.page.view import KEPT, SERIES_POINTS, TRACK_POINTS, View
 from mission.replay.replay import recorded_mission
@@ -28,6 +29,8 @@ class PastShow:
     def __init__(self, recording: Recording) -> None:
         mission = recorded_mission(recording)
         view = View(mission, kept=None)
+        self.background = background_or_none(mission)
+        view.background = None if self.background is None else self.background.described()
         self.duration_s = float(recording.summary()["duration_s"])
         every_s = max(1.0, self.duration_s / MOST_FRAMES)
         self._frames: list[tuple[float, str]] = []

@@ -9,6 +9,7 @@ from fieldkit.messages import Operator
 from fieldkit.recording.reader import Recording
 from mission.core.mission_file import Mission
 from mission.page.answers import Answers
+from mission.page.background import background_or_none
 from mission.page.live import LiveShow
 from mission.page.past import PastShow
 from mission.page.server import Page
@@ -24,7 +25,9 @@ class LivePage:
         self._loop: asyncio.AbstractEventLoop | None = None
         view = View(mission, self._answers, alarms=self._alarms)
         self.follower = LiveShow(view)
-        answers = Answers(mission.frame, view.latest.present)
+        background = background_or_none(mission)
+        view.background = None if background is None else background.described()
+        answers = Answers(mission.frame, view.latest.present, background)
         self.page = Page(self.follower, self._command, host=host, port=port, answers=answers)
         self.follower.page = self.page
 
@@ -67,6 +70,6 @@ def live(mission: Mission, *, host: str = "127.0.0.1", port: int = 0) -> Iterato
 def past(recording: Recording, *, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page]:
     """The page over a recording. Raises `RecordingError`, `ConfigError`."""
     show = PastShow(recording)
-    answers = Answers(show.view.mission.frame, show.view.latest.present)
+    answers = Answers(show.view.mission.frame, show.view.latest.present, show.background)
     with Page(show, host=host, port=port, answers=answers) as page:
         yield page

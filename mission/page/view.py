@@ -82,6 +82,8 @@ class View:
         self._exposure = Exposure(engine)
         self.latest = Latest(mission)
         """The present, for other maps."""
+        self.background: dict[str, Any] | None = None
+        """Pictures under the map."""
         self.tracks: dict[str, list[tuple[float, float, float]]] = {name: [] for name in engine.robots}
         """Robot to (s, east, north), thinned."""
         self.series: list[dict[str, Any]] = []
@@ -221,6 +223,7 @@ class View:
                 for name in team
             ],
             "pose_timeout_s": self.mission.safety.pose_timeout_s,
+            "background": self.background,
         }
 
     def frame(self) -> dict[str, Any]:

@@ -3,6 +3,7 @@ import { colourOf, model } from "./model.js";
 
 const canvas = document.getElementById("map");
 const pen = canvas.getContext("2d");
+const $credit = document.getElementById("credit");
 const images = {};
 let view = null;
 let corners = []; // of an area being drawn, in metres
@@ -62,6 +63,7 @@ export function toMetres(event) {
   const box = canvas.getBoundingClientRect();
   return [view.east + (event.clientX - box.left - view.x) / view.scale, view.north - (event.clientY - box.top - view.y) / view.scale];
 }
+export const toPixels = ([east, north]) => [X(east), Y(north)];
 const X = (east) => view.x + (east - view.east) * view.scale;
 const Y = (north) => view.y - (north - view.north) * view.scale;
 
@@ -108,8 +110,31 @@ function halo(text, x, y, colour, font = "600 12px system-ui") {
   pen.fillText(text, x, y);
 }
 
+// Pictures of the ground, each by three of its corners.
+const pictures = new Map();
+function drawBackground() {
+  for (const { url, corners_m: [nw, ne, sw] } of model.hello.background?.pictures ?? []) {
+    let image = pictures.get(url);
+    if (!image) {
+      image = new Image();
+      image.onload = () => { model.version.grids += 1; };
+      image.src = url;
+      pictures.set(url, image);
+    }
+    if (!image.complete || !image.naturalWidth) continue;
+    const [width, height] = [image.naturalWidth, image.naturalHeight];
+    const [x, y] = [X(nw[0]), Y(nw[1])];
+    pen.save();
+    pen.imageSmoothingEnabled = true;
+    pen.transform((X(ne[0]) - x) / width, (Y(ne[1]) - y) / width, (X(sw[0]) - x) / height, (Y(sw[1]) - y) / height, x, y);
+    pen.drawImage(image, 0, 0, width + 0.5, height + 0.5); // a little over the seam to the next tile
+    pen.restore();
+  }
+}
+
 function drawGround(field, layer) {
   pen.clearRect(0, 0, view.width, view.height);
+  drawBackground();
   const grid = model.grids[layer];
   if (grid) {
     pen.imageSmoothingEnabled = layer === "exposure";
@@ -332,6 +357,7 @@ export function draw() {
   drawArea();
   drawNorthAndScale();
   const grid = model.grids[layer];
+  $credit.textContent = model.hello.background?.credit ?? "";
   document.getElementById("legend").textContent = !grid ? "" : layer === "belief"
     ? `a source is in the cell: up to ${grid.largest.toPrecision(2)}`
     : "a source there would have been heard";

@@ -1,0 +1,296 @@
+"""A picture of the ground under the page's map: tiles of an MBTiles file, or a geo-referenced picture. No internet.
+
+Each picture is told by three of its corners in the field's frame, so that the page draws it with one affine map: over
+a field of some kilometres the projections bend by less than a pixel.
+"""
+
+import html
+import io
+import logging
+import math
+import re
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fieldkit.errors import ConfigError
+from mission.core.mission_file import Mission
+from mission.page.georeference import Corners, pixel_map, to_degrees
+
+logger = logging.getLogger(__name__)
+
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
+MARGIN = 0.15
+"""Of the field's size is shown beyond it."""
+MOST_TILES = 64
+TILE_KINDS = {b"\x89PNG": "image/png", b"\xff\xd8": "image/jpeg", b"RIFF": "image/webp"}
+LARGEST_PX = 3000
+"""Side of a picture that is sent."""
+OVERVIEW_M = 25.0
+"""A whole tile file of which a pixel is more than this is no map of a field."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One picture and where it lies."""
+
+    name: str
+    media_type: str
+    data: bytes
+    corners_m: Corners
+    """(east, north) of its upper left, upper right and lower left corner."""
+
+
+@dataclass(frozen=True, slots=True)
+class Background:
+    """What is under the map."""
+
+    pictures: tuple[Picture, ...]
+    credit: str
+    covered: float
+    """Share of the field that has a picture."""
+
+    def described(self) -> dict[str, Any]:
+        """As the page is told."""
+        return {
+            "credit": self.credit,
+            "pictures": [
+                {"url": f"background/{each.name}", "corners_m": [list(corner) for corner in each.corners_m]}
+                for each in self.pictures
+            ],
+        }
+
+
+def read_background(mission: Mission) -> Background | None:
+    """The background the mission file names, relative to itself; None where it names none. Raises `ConfigError`."""
+    name = mission.file.field.background
+    if not name:
+        return None
+    path = Path(mission.where).parent / name
+    where = f"field.background: {path}"
+    if not path.is_file():
+        raise ConfigError(f"{where}: no such file")
+    ending = path.suffix.lower()
+    if ending == ".mbtiles":
+        return _tiles(path, where, mission)
+    if ending in PICTURES:
+        return _picture(path, where, mission)
+    raise ConfigError(f"{where}: expected .mbtiles or a picture ({', '.join(PICTURES)}), got '{ending}'")
+
+
+def background_or_none(mission: Mission) -> Background | None:
+    """The same for a mission that is to go on without a picture rather than not at all."""
+    try:
+        return read_background(mission)
+    except ConfigError as error:
+        logger.warning("the map has no background: %s", error)
+        return None
+
+
+# -- MBTiles 1.3: SQLite with tables tiles and metadata; rows count from the south (TMS) ------------------------
+
+
+def _tiles(path: Path, where: str, mission: Mission) -> Background:
+    try:
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as file:
+            about = dict(file.execute("select name, value from metadata"))
+            zooms = [row[0] for row in file.execute("select distinct zoom_level from tiles order by 1 desc")]
+            if about.get("format") == "pbf":
+                raise ConfigError(
+                    f"{where}: its tiles are vectors; pictures are drawn (png, jpg, webp): export raster tiles"
+                )
+            for zoom in zooms:
+                found = _at_zoom(file, zoom, mission)
+                if found is not None:
+                    pictures, covered = found
+                    return Background(pictures, _plain(str(about.get("attribution") or "")), covered)
+    except sqlite3.Error as error:
+        raise ConfigError(f"{where}: not an MBTiles file: {error}") from error
+    raise ConfigError(f"{where}: {_elsewhere(about, zooms, mission)}")
+
+
+def _at_zoom(
+    file: sqlite3.Connection, zoom: int, mission: Mission
+) -> tuple[tuple[Picture, ...], float] | None:
+    """The tiles over the field at one zoom, and the share of the field they cover; None: none, or too many."""
+    west, south, east, north = _bounds_deg(mission)
+    pixel_m = 40_075_016.7 * math.cos(math.radians(south)) / 2**zoom / 256
+    columns = range(math.floor(_column(west, zoom)), math.floor(_column(east, zoom)) + 1)
+    rows = range(math.floor(_row(north, zoom)), math.floor(_row(south, zoom)) + 1)
+    if len(columns) * len(rows) > MOST_TILES or pixel_m > OVERVIEW_M:
+        return None
+    pictures = []
+    for column in columns:
+        for row in rows:
+            data = _tile(file, zoom, column, row)
+            if data is not None:
+                media_type = next((kind for head, kind in TILE_KINDS.items() if data.startswith(head)), "")
+                if media_type:
+                    corners = _tile_corners(zoom, column, row, mission)
+                    pictures.append(Picture(f"{zoom}-{column}-{row}", media_type, data, corners))
+    if not pictures:
+        return None
+    return tuple(pictures), _covered([picture.corners_m for picture in pictures], mission)
+
+
+def _plain(text: str) -> str:
+    """Attributions are often HTML."""
+    return html.unescape(re.sub(r"<[^>]*>", "", text)).strip()
+
+
+def _tile(file: sqlite3.Connection, zoom: int, column: int, row: int) -> bytes | None:
+    found = file.execute(
+        "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?",
+        (zoom, column, 2**zoom - 1 - row),
+    ).fetchone()
+    return None if found is None or found[0] is None else bytes(found[0])
+
+
+def _column(lon_deg: float, zoom: int) -> float:
+    return float((lon_deg + 180.0) / 360.0 * 2**zoom)
+
+
+def _row(lat_deg: float, zoom: int) -> float:
+    """Counted from the north."""
+    return float((1.0 - math.asinh(math.tan(math.radians(lat_deg))) / math.pi) / 2.0 * 2**zoom)
+
+
+def _tile_corners(zoom: int, column: int, row: int, mission: Mission) -> Corners:
+    def place(x: int, y: int) -> tuple[float, float]:
+        lat_deg = math.degrees(math.atan(math.sinh(math.pi * (1.0 - 2.0 * y / 2**zoom))))
+        return mission.frame.to_local(lat_deg, x / 2**zoom * 360.0 - 180.0)[:2]
+
+    return place(column, row), place(column + 1, row), place(column, row + 1)
+
+
+def _bounds_deg(mission: Mission) -> tuple[float, float, float, float]:
+    """West, south, east, north of the field and what is shown round it."""
+    field, frame = mission.file.field, mission.frame
+    east_m, north_m = MARGIN * field.size_east_m, MARGIN * field.size_north_m
+    low = frame.to_geodetic(-east_m, -north_m)
+    high = frame.to_geodetic(field.size_east_m + east_m, field.size_north_m + north_m)
+    return low[1], low[0], high[1], high[0]
+
+
+def _elsewhere(about: dict[str, str], zooms: list[int], mission: Mission) -> str:
+    """Why no tile is over the field, in words."""
+    lat_deg, lon_deg = mission.frame.origin_lat_deg, mission.frame.origin_lon_deg
+    field = f"the field is at {lat_deg:.4f}, {lon_deg:.4f}"
+    if not zooms:
+        return "it holds no tiles"
+    try:
+        west, south, east, north = (float(part) for part in about["bounds"].split(","))
+    except (KeyError, ValueError):
+        return f"none of its tiles is over the field in enough detail: {field}"
+    if west <= lon_deg <= east and south <= lat_deg <= north:
+        return f"it covers this region, but has no tiles of enough detail here (zoom {zooms[0]} at most); {field}"
+    middle = mission.frame.to_local((south + north) / 2, (west + east) / 2)
+    away_km = math.hypot(middle[0], middle[1]) / 1000
+    return (
+        f"is a map of elsewhere: latitude {south:.4f} to {north:.4f}, longitude {west:.4f} to {east:.4f}, "
+        f"{away_km:.0f} km away; {field}"
+    )
+
+
+# -- one picture -------------------------------------------------------------------------------------------------
+
+
+def _picture(path: Path, where: str, mission: Mission) -> Background:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            pixels = pixel_map(path, image, mission.file.field.background_crs, where)
+            place = _placer(pixels.crs, mission)
+            corners = [place(*pixels.at(u, v)) for u, v in ((0, 0), (image.width, 0), (0, image.height))]
+            whole: Corners = (corners[0], corners[1], corners[2])
+            box = _box(whole, image.width, image.height, mission)
+            covered = _covered([whole], mission)
+            if box is None or covered == 0.0:
+                away_m = math.hypot(*whole[0])
+                raise ConfigError(
+                    f"{where}: is a picture of elsewhere, {away_m / 1000:.0f} km away: is background_crs right?"
+                )
+            left, upper, right, lower = box
+            inner = [place(*pixels.at(u, v)) for u, v in ((left, upper), (right, upper), (left, lower))]
+            data, media_type = _encoded(image.crop(box))
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"{where}: cannot be read as a picture: {error}") from error
+    picture = Picture("picture", media_type, data, (inner[0], inner[1], inner[2]))
+    return Background((picture,), "", covered)
+
+
+def _placer(crs: str, mission: Mission) -> Callable[[float, float], tuple[float, float]]:
+    """From the picture's own coordinates to the field's."""
+    if crs == "local":
+        return lambda x, y: (x, y)
+    return lambda x, y: mission.frame.to_local(*to_degrees(crs, x, y))[:2]
+
+
+def _box(corners: Corners, width: int, height: int, mission: Mission) -> tuple[int, int, int, int] | None:
+    """Pixels of the field and what is shown round it; None where the picture has none of it."""
+    field = mission.file.field
+    east_m, north_m = MARGIN * field.size_east_m, MARGIN * field.size_north_m
+    found = [
+        _pixel(corners, east, north)
+        for east in (-east_m, field.size_east_m + east_m)
+        for north in (-north_m, field.size_north_m + north_m)
+    ]
+    left, right = (bound(u for u, _ in found) * width for bound in (min, max))
+    upper, lower = (bound(v for _, v in found) * height for bound in (min, max))
+    box = (
+        max(0, math.floor(left)),
+        max(0, math.floor(upper)),
+        min(width, math.ceil(right)),
+        min(height, math.ceil(lower)),
+    )
+    return box if box[0] < box[2] and box[1] < box[3] else None
+
+
+def _pixel(corners: Corners, east_m: float, north_m: float) -> tuple[float, float]:
+    """Where a place is in a picture: shares of its width and height."""
+    (x0, y0), (x1, y1), (x2, y2) = corners
+    a, b, c, d = x1 - x0, x2 - x0, y1 - y0, y2 - y0
+    whole = a * d - b * c
+    if whole == 0.0:
+        raise ValueError("its world file makes a line of it")
+    dx, dy = east_m - x0, north_m - y0
+    return (d * dx - b * dy) / whole, (a * dy - c * dx) / whole
+
+
+def _encoded(image: Any) -> tuple[bytes, str]:
+    """As browsers show it, not larger than they need."""
+    image.thumbnail((LARGEST_PX, LARGEST_PX))
+    clear = image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
+    out = io.BytesIO()
+    if clear:
+        image.convert("RGBA").save(out, "PNG")
+        return out.getvalue(), "image/png"
+    image.convert("RGB").save(out, "JPEG", quality=88)
+    return out.getvalue(), "image/jpeg"
+
+
+# -- both --------------------------------------------------------------------------------------------------------
+
+
+def _covered(all_corners: list[Corners], mission: Mission, side: int = 20) -> float:
+    """Share of the field's ground with a picture, looked at on a grid of places."""
+
+    def lies_in(corners: Corners, place: tuple[float, float]) -> bool:
+        u, v = _pixel(corners, *place)
+        return 0.0 <= u <= 1.0 and 0.0 <= v <= 1.0
+
+    places = list(_places(mission, side))
+    return sum(any(lies_in(corners, place) for corners in all_corners) for place in places) / len(places)
+
+
+def _places(mission: Mission, side: int) -> Iterator[tuple[float, float]]:
+    field = mission.file.field
+    for row in range(side):
+        for column in range(side):
+            yield (column + 0.5) / side * field.size_east_m, (row + 0.5) / side * field.size_north_m
