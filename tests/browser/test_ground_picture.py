@@ -26,9 +26,8 @@ def test_each_quarter_of_the_picture_is_in_its_quarter_of_the_field(browser: Any
     small_mission(tmp_path)
     path = tmp_path / "mission.toml"
     text = path.read_text()
-    path.write_text(
-        text.replace("[field]\n", '[field]\nbackground = "ground.png"\nbackground_crs = "local"\n', 1)
-    )
+    more = 'background = "ground.png"\nbackground_crs = "local"\n'
+    path.write_text(text.replace("origin_lat_deg", f"{more}origin_lat_deg", 1))
     mission = read_mission(path)
     with serve.live(mission) as shown, looking(browser, shown.page.address) as tab:
         wait_until(lambda: shown.page.clients == 1)
