@@ -19,8 +19,11 @@ from typing import Annotated, Any
 import typer
 
 from drivers.emulators.capture import classic_head, classic_record, tap_packet
+from drivers.emulators.gnss import Seen, gpsd_report, nmea
 from drivers.emulators.printer import STYLES, PrintingRadio
 from drivers.emulators.sniffers import NrfDongle, TiDongle, data_frame
+from drivers.gnss.gpsd import GpsdReader
+from drivers.gnss.nmea import NmeaReader
 from drivers.lines.mapping import Heard, LineMap, NoReadingError
 from drivers.lines.maps import MAPS
 from drivers.lines.receiver import LineSplitter
@@ -31,7 +34,10 @@ from drivers.sniffers.strength import from_status_bytes, from_tap
 from drivers.sniffers.ti import TiBinary
 from drivers.xbee.decode import db_answer, decode, name_of
 from drivers.xbee.frames import Deframer, frame
+from fieldkit.geo import FieldFrame
 
+_FRAME = FieldFrame(47.3977, 8.5456)
+_LAST_SEEN = Seen(1_790_000_000 * 10**9, 12.0, 34.0)
 KEEPS = 1 << 21
 """Bytes a codec may keep of a stream that makes no sense: a pcapng block may claim a megabyte."""
 INTERESTING = (
@@ -128,6 +134,30 @@ def _is_sane(line_map: LineMap, line: str) -> Heard | None:
     return heard
 
 
+def _seen(rng: random.Random) -> Seen:
+    place = rng.uniform(-500.0, 500.0), rng.uniform(-500.0, 500.0)
+    return Seen(
+        rng.randrange(1_600_000_000, 1_800_000_000) * 10**9, *place, 0.0, 1.2, rng.uniform(0.0, 360.0)
+    )
+
+
+def _fixes(make: Callable[[], NmeaReader | GpsdReader], last: Seen) -> Codec:
+    """A satellite receiver: a damaged sentence is none, and the next good one is read."""
+    lat, lon, _ = _FRAME.to_geodetic(last.east_m, last.north_m)
+
+    def survives(damaged: bytes, good: bytes) -> bool:
+        codec = make()
+        for at in range(0, len(damaged), 97):
+            for fix in codec.feed(damaged[at : at + 97], 0.0):
+                assert fix.why_absent or (math.isfinite(fix.lat_deg) and math.isfinite(fix.lon_deg))
+        after = codec.feed(b"\r\n" + good, 1.0)
+        found = bool(after) and abs(after[-1].lat_deg - lat) < 1e-6 and abs(after[-1].lon_deg - lon) < 1e-6
+        return found and len(codec._rest) < KEEPS
+
+    writer = nmea if make is NmeaReader else gpsd_report
+    return Codec(lambda rng: writer(_seen(rng), _FRAME), survives)
+
+
 def _nrf_line(rng: random.Random, payload: bytes | None = None) -> bytes:
     dongle = NrfDongle(lambda: rng.getrandbits(33))
     dongle.capturing, dongle.listening_on = True, dongle.channel
@@ -221,6 +251,8 @@ CODECS: dict[str, tuple[Codec, Callable[[random.Random], bytes], bytes]] = {
         classic_head(),
     ),
     **{f"lines-{name}": (_lines(name), _lines(name).good, b"") for name in STYLES},
+    "nmea": (_fixes(NmeaReader, _LAST_SEEN), lambda rng: nmea(_LAST_SEEN, _FRAME), b""),
+    "gpsd": (_fixes(GpsdReader, _LAST_SEEN), lambda rng: gpsd_report(_LAST_SEEN, _FRAME), b""),
     "pcapng": (_capture(_NG_HEAD, _ng_packet), lambda rng: _ng_packet(_tap(rng)), _NG_HEAD),
 }
 """Codec, the good frame at the end, and what a stream begins with."""

@@ -43,7 +43,12 @@ class NmeaReader:
             if begin < 0 or len(line) - begin > LONGEST_SENTENCE:
                 continue
             sentence = self._parse(line[begin:])
-            if sentence is not None and (fix := self._take(sentence, at_s)) is not None:
+            try:
+                fix = None if sentence is None else self._take(sentence, at_s)
+            except AttributeError:  # shorter than its kind, by a checksum that fits all the same
+                self.damaged += 1
+                continue
+            if fix is not None:
                 fixes.append(fix)
         return fixes
 

@@ -140,6 +140,12 @@ def fix_at(east_m: float, north_m: float, at_s: float, **more: Any) -> Fix:
     return replace(Fix(lat, lon, 2.0, at_s, 400.0, 1.0, 90.0), **more)
 
 
+def test_a_sentence_that_is_too_short_is_damaged_though_its_checksum_fits() -> None:
+    reader = NmeaReader()
+    assert reader.feed(sentence("GNGGA,092750.00,5321.6802,N,00630.3372,W,1,8"), 0.0) == []
+    assert reader.damaged == 1
+
+
 def test_distance_is_that_of_the_ellipsoid_to_a_few_parts_in_a_thousand() -> None:
     assert distance_m(fix_at(0, 0, 0.0), fix_at(300.0, 400.0, 0.0)) == pytest.approx(500.0, rel=5e-3)
 
