@@ -8,7 +8,7 @@ import asyncio
 import tempfile
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -18,6 +18,7 @@ import numpy as np
 from drivers.emulators.gnss import WORTH_M, Seen, nmea
 from drivers.emulators.printer import PrintingRadio
 from drivers.emulators.wires import PluggedModule, PtyWire
+from drivers.emulators.xbee import PROFILES, Module
 from fieldkit.channel.model import Antenna
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError
@@ -42,7 +43,7 @@ class WalkSpec:
     start_m: tuple[float, float]
     size_m: tuple[float, float]
     style: str
-    """In whose words the radio prints."""
+    """In whose words the radio prints; `xbee` is a module that does not print."""
     seed: int
     speed_m_s: float = 1.2
     ignores: float = 1.0 / 3.0
@@ -91,10 +92,7 @@ class EmulatedWalk:
     async def _walk(self) -> None:
         spec = self._spec
         with tempfile.TemporaryDirectory(prefix="fieldkit-") as folder:
-            radio = PluggedModule(
-                PrintingRadio(lambda: spec.clock.now_ns() // 1_000, spec.style),
-                PtyWire(Path(folder) / "radio"),
-            )
+            radio = PluggedModule(self._device(), PtyWire(Path(folder) / "radio"))
             await radio.plug()
             gnss = PtyWire(Path(folder) / "gnss")
             await gnss.open(lambda data: None)
@@ -113,7 +111,13 @@ class EmulatedWalk:
             radio.unplug()
             gnss.close()
 
-    def _step(self, radio: PluggedModule[PrintingRadio], at_s: float) -> None:
+    def _device(self) -> PrintingRadio | Module:
+        if self._spec.style == "xbee":
+            # Hearing is the channel's business (the antenna's threshold), not a second threshold's.
+            return Module(replace(PROFILES["s2c"], sensitivity_dbm=-254.0))
+        return PrintingRadio(lambda: self._spec.clock.now_ns() // 1_000, self._spec.style)
+
+    def _step(self, radio: PluggedModule[Any], at_s: float) -> None:
         spec, walker = self._spec, self._walker
         walker.advise(self._advice())
         walker.step(STEP_S)
@@ -124,7 +128,7 @@ class EmulatedWalk:
             off_deg = np.degrees(np.arctan2(way[:, 0], way[:, 1])) - walker.heading_deg
             lost_db = body_loss_db(off_deg, spec.behind_db)
             rss = sample_rss_dbm(
-                spec.antenna, np.hypot(*way.T), source.power_db - lost_db, self._channel, np.zeros(1)
+                spec.antenna, np.hypot(*way.T), source.power_db - lost_db, self._channel, off_deg
             )
             if not np.isnan(rss[0]):
                 radio.hear(float(rss[0]), 0x00BEEF, b"")

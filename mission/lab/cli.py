@@ -22,7 +22,10 @@ def demo(
     seed: Annotated[int, typer.Option(help="Where the transmitters hide, and all other chance.")] = 7,
     walk: Annotated[
         str,
-        typer.Option(metavar="KIND", help="A person walks instead: ble, wifi, lora, meshtastic or wildlife."),
+        typer.Option(
+            metavar="KIND",
+            help="A person walks instead: xbee, ble, wifi, lora, meshtastic, wildlife or yagi.",
+        ),
     ] = "",
     out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
     rate: Annotated[

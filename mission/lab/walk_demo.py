@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,10 +39,34 @@ KINDS = {
     "meshtastic": "meshtastic",
     "wildlife": "ctt",
     "json": "json",
+    "xbee": "xbee",
+    "yagi": "ctt",
 }
+"""Kind of walk to the words its radio prints in."""
 BEHIND_DB = 8.0
 """What a body takes from a signal that comes from behind."""
 PERSON = "me"
+
+
+def yagi_gain_db() -> list[float]:
+    """Of three elements or so, by heading from its front: 60 degrees wide, 15 dB less behind; its mean is nothing."""
+    half = np.radians(np.arange(0.0, 360.0, 10.0) / 2.0)
+    gain = np.maximum(200.0 * np.log10(np.maximum(np.abs(np.cos(half)), 1e-6)), -15.0)
+    return [round(float(value), 2) for value in gain - gain.mean()]
+
+
+def with_yagi() -> tuple[Antenna, AntennaFile]:
+    """A radio with a yagi held in front, as it is and as a calibration with headings tells it."""
+    gains = yagi_gain_db()
+    pattern = {
+        "family": "tabulated",
+        "heading_deg": [10.0 * k for k in range(36)],
+        "gain_db": gains,
+        "gain_sigma_db": [1.0] * 36,
+    }
+    plain = believed()
+    file = replace(plain, antenna=RADIO, model="tabulated", pattern=pattern)
+    return replace(RADIO, pattern_db=tuple(gains)), file
 
 
 def believed() -> AntennaFile:
@@ -84,6 +109,7 @@ def demo_walk(
     if kind not in KINDS:
         raise ConfigError(f"--walk: expected one of {', '.join(KINDS)}, got {kind!r}")
     style, sources, clock = KINDS[kind], hidden(seed), ScaledClock(rate)
+    radio, file = with_yagi() if kind == "yagi" else (RADIO, believed())
     links: list[VehicleLink] = []
 
     def advice() -> tuple[float, float] | None:
@@ -92,12 +118,14 @@ def demo_walk(
         return None if where is None else (where.east_m, where.north_m)
 
     emulated = plugins.load("fieldkit.emulators", "walk")(
-        advice, clock=clock, frame=FieldFrame(*ORIGIN_DEG), antenna=RADIO, sources=sources, size_m=(SIZE_M, SIZE_M),
-        start_m=(SIZE_M / 2.0, 10.0), style=style, seed=seed, behind_db=BEHIND_DB,
+        advice, clock=clock, frame=FieldFrame(*ORIGIN_DEG), antenna=radio, sources=sources, size_m=(SIZE_M, SIZE_M),
+        start_m=(SIZE_M / 2.0, 10.0), style=style, seed=seed, behind_db=0.0 if kind == "yagi" else BEHIND_DB,
     )  # fmt: skip
-    write_whole(folder / "antenna.toml", dump_antenna(believed()))
+    write_whole(folder / "antenna.toml", dump_antenna(file))
     with emulated as walk:
-        receiver = {"driver": "lines", "port": walk.radio_port, "map": style}
+        receiver = {"driver": "xbee", "port": walk.radio_port}
+        if style != "xbee":
+            receiver = {"driver": "lines", "port": walk.radio_port, "map": style}
         text = walk_text(
             WalkOptions(
                 receiver, walk.gnss_port, "antenna.toml", ORIGIN_DEG, SIZE_M, RATE_HZ,
