@@ -26,6 +26,7 @@ from drivers.emulators.faults import FAULTS
 from drivers.emulators.profiles import COPTER
 from drivers.emulators.profiles import PROFILES as FIRMWARES
 from drivers.emulators.rover import make_autopilot
+from drivers.emulators.sniffers import NrfDongle
 from drivers.emulators.wires import PluggedModule, make_wire
 from drivers.emulators.xbee import PROFILES, Module
 from drivers.links import host_and_port
@@ -75,6 +76,8 @@ class FieldSpec:
     pose_noise_m: float = 0.0
     max_speed_m_s: float = given.MAX_SPEED_M_S.default
     xbee_profile: str = "s2c"
+    dongles: bool = False
+    """Robots carry nRF52840 dongles with the sniffer firmware, not XBees."""
     gcs_failsafe_s: float | None = None
     """Age of the ground station's heartbeat at which rovers hold; None: 6.5 s, or a wall second if longer."""
 
@@ -214,7 +217,7 @@ class _Telemetry(asyncio.DatagramProtocol):
 class _Robot:
     """One robot's devices."""
 
-    def __init__(self, autopilot: Autopilot, radio: PluggedModule[Module]) -> None:
+    def __init__(self, autopilot: Autopilot, radio: PluggedModule[Any]) -> None:
         self.autopilot = autopilot
         self.radio = radio
         self.transport: asyncio.DatagramTransport | None = None
@@ -322,16 +325,20 @@ class _Field:
             pose_noise_m=spec.pose_noise_m,
             gcs_failsafe_s=failsafe_s,
         )
+        wire = make_wire(Path(self._folder.name) / f"radio-{robot.name}")
+        return _Robot(autopilot, PluggedModule(self._radio(robot), wire))
+
+    def _radio(self, robot: EmulatedRobot) -> Module | NrfDongle:
+        spec = self._spec
+        if spec.dongles:
+            return NrfDongle(lambda: spec.clock.now_ns() // 1_000, serial_number=robot.system_id)
         known = PROFILES[spec.xbee_profile]
         saturation = (
             known.saturation_dbm if spec.antenna.saturation_dbm is None else spec.antenna.saturation_dbm
         )
         # Hearing is the channel's business (the antenna's threshold), not a second threshold's.
         profile = replace(known, saturation_dbm=saturation, sensitivity_dbm=-254.0)
-        module = Module(profile, ROBOT_ADDRESS + robot.system_id)
-        return _Robot(
-            autopilot, PluggedModule(module, make_wire(Path(self._folder.name) / f"xbee-{robot.name}"))
-        )
+        return Module(profile, ROBOT_ADDRESS + robot.system_id)
 
     async def run(self, connection: Connection) -> None:
         loop = asyncio.get_running_loop()
@@ -398,8 +405,8 @@ class _Field:
                 name: {
                     "frames": robot.heard,
                     "frames_lost": robot.radio.lost_writes,
-                    "bytes_from_host": robot.radio.module.bytes_in,
-                    "transmitted": robot.radio.module.transmitted,
+                    "bytes_from_host": getattr(robot.radio.module, "bytes_in", 0),
+                    "transmitted": getattr(robot.radio.module, "transmitted", 0),
                     "mode": robot.autopilot.mode,
                     "armed": robot.autopilot.armed,
                 }

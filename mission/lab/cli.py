@@ -27,6 +27,7 @@ def demo(
             help="A person walks instead: xbee, ble, wifi, lora, meshtastic, wildlife or yagi.",
         ),
     ] = "",
+    drone: Annotated[bool, typer.Option("--drone", help="One drone with a sniffer dongle instead.")] = False,
     out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
     rate: Annotated[
         float,
@@ -43,8 +44,8 @@ def demo(
 
     Example: fieldkit demo --seed 7
     """
-    if walk:
-        _walk_demo(walk, seed, out, 2.0 * rate, (page, page_host, page_port), as_json)
+    if walk or drone:
+        _small_demo("" if drone else walk, seed, out, rate, (page, page_host, page_port), as_json)
         return
     from mission.analysis.report import write_report
     from mission.lab import demo as demonstration
@@ -72,18 +73,20 @@ def demo(
     typer.echo(f"next:    fieldkit replay {folder}/mission.mcap")
 
 
-def _walk_demo(
+def _small_demo(
     kind: str, seed: int, out: Path, rate: float, shown: tuple[bool, str, int], as_json: bool
 ) -> None:
-    """One person, one radio that prints, one hidden transmitter."""
+    """One person, or without a kind one drone; one radio, one hidden transmitter."""
     from mission.cli.missions import print_flown
+    from mission.lab.drone_demo import demo_drone
     from mission.lab.walk_demo import demo_walk
     from mission.shell.flight import fly
     from mission.shell.terminal import Watch
     from mission.shell.warm_up import warm_up
 
     folder = run_folder(out)
-    with demo_walk(folder, kind, seed, rate) as (mission, setup, truth):
+    made = demo_walk(folder, kind, seed, 2.0 * rate) if kind else demo_drone(folder, seed, rate)
+    with made as (mission, setup, truth):
         say("preparing the engine (compiled once on a new machine, up to a minute) ...")
         warm_up(mission)
         with (

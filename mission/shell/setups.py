@@ -102,17 +102,19 @@ def emulated(
     seed: int,
     rate: float,
     pose_noise_m: float = 0.02,
+    dongles: bool = False,
 ) -> Iterator[Setup]:
     """An emulated field for the mission's robots, on a clock `rate` times as fast as the wall's.
 
     Robots start in pairs along the south border. The mission file's ports and addresses are replaced by the
-    emulated ones; everything else of it is used as it is.
+    emulated ones; everything else of it is used as it is. `dongles`: robots carry sniffer dongles, not XBees.
     """
     emulate = plugins.load("fieldkit.emulators", "field")
     clock = ScaledClock(rate)
     port = _free_udp_port()
     starts = start_places(mission)
     flying = mission.safety.altitude_m
+    radio = "nrf-sniffer" if dongles else "xbee"
     emulator = emulate(
         clock=clock,
         frame=mission.frame,
@@ -128,13 +130,14 @@ def emulated(
         max_speed_m_s=mission.safety.max_speed_m_s,
         # A vehicle's own 5 s, as wall time: on a scaled clock a busy machine would look like a dead one.
         gcs_failsafe_s=max(6.5, 5.0 * rate),
+        dongles=dongles,
     )
     with emulator as field:
         robots = tuple(
             robot.model_copy(
                 update={
                     "receiver": replace_options(
-                        robot.receiver, {"driver": "xbee", "port": field.receiver_ports[robot.name]}
+                        robot.receiver, {"driver": radio, "port": field.receiver_ports[robot.name]}
                     ),
                     "vehicle": replace_options(
                         robot.vehicle,

@@ -1,4 +1,4 @@
-"""The quick starts of docs/walk.md: one command each, from nothing to a found transmitter."""
+"""The quick starts of docs/quickstart: one command each, from nothing to a found transmitter."""
 
 import json
 import math
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from mission.lab import drone_demo
 from mission.lab.walk_demo import KINDS, hidden
 
 pytestmark = pytest.mark.timeout(600)
@@ -38,3 +39,17 @@ def test_a_walk_on_emulated_devices_finds_what_is_hidden(kind: str, tmp_path: Pa
     finds = [each for each in result["sources"] if each["state"] == "found"]
     assert len(finds) == 1, result["end_reason"]
     assert math.dist((finds[0]["east_m"], finds[0]["north_m"]), (source.east_m, source.north_m)) < 25.0
+
+
+def test_a_drone_with_a_dongle_finds_what_is_hidden(tmp_path: Path) -> None:
+    seed = 3
+    command = [sys.executable, "-m", "fieldkit", "demo", "--drone", "--seed", str(seed), "--json"]
+    done = subprocess.run(
+        [*command, "--out", str(tmp_path)], capture_output=True, text=True, check=False, timeout=500
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    result = json.loads(done.stdout)
+    (source,) = drone_demo.hidden(seed)
+    finds = [each for each in result["sources"] if each["state"] == "found"]
+    assert len(finds) == 1, result["end_reason"]
+    assert math.dist((finds[0]["east_m"], finds[0]["north_m"]), (source.east_m, source.north_m)) < 15.0
