@@ -13,13 +13,13 @@ from fieldkit.channel.spread import ChannelSpread
 from fieldkit.files import write_whole
 from fieldkit.world.sources import TransientSource
 from mission.core.mission_file import Mission, read_mission
+from mission.lab.walk_demo import RATE_HZ
 from mission.shell import setups
 from mission.shell.setups import Setup
 
 SIZE_M = 120.0
 ALTITUDE_M = 10.0
 SPEED_M_S = 4.0
-RATE_HZ = 0.2
 RADIO = Antenna(path_loss_exponent=2.5, power_at_1m_dbm=-55.0, sigma_db=4.0, threshold_dbm=-95.0)
 """Heard to 40 m."""
 

@@ -11,14 +11,17 @@ Everything here only looks. Places where robots are and were are as open as the 
 import asyncio
 import contextlib
 import json
+import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import asdict
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 
+from fieldkit.channel.turn import bearing_of
 from fieldkit.coordinates import coordinates
 from fieldkit.geo import FieldFrame
+from fieldkit.recording.shapes import plain
 from mission.maps import kml
 from mission.maps.geojson import collection
 from mission.maps.present import Present
@@ -30,6 +33,7 @@ LONGEST_SILENCE_S = 15.0
 """After so long the same is sent once more, so that whoever listens knows that the line is alive."""
 MOST_STREAMS = 16
 FURTHEST_M = 1e6
+MOST_HEARD = 400
 
 Answer = Callable[[Request], Awaitable[Response]]
 
@@ -55,6 +59,7 @@ class Answers:
         """Path to what answers there."""
         return {
             "/where": self._where,
+            "/bearing": self._bearing,
             "/sources.geojson": self._geojson,
             "/sources.ndjson": self._stream,
             "/present.kml": self._kml,
@@ -76,6 +81,18 @@ class Answers:
                 **asdict(coordinates(lat_deg, lon_deg)),
             }
         )
+
+    async def _bearing(self, request: Request) -> Response:
+        """`?heard=HEADING:DBM,...` of one turn round."""
+        try:
+            pairs = [part.split(":") for part in request.query_params["heard"].split(",")[-MOST_HEARD:]]
+            numbers = [(float(heading), float(dbm)) for heading, dbm in pairs]
+            if not all(math.isfinite(value) for pair in numbers for value in pair):
+                raise ValueError("not finite")
+        except (KeyError, ValueError):
+            return PlainTextResponse("expected ?heard=HEADING:DBM,HEADING:DBM, numbers", 400)
+        found = bearing_of([heading for heading, _ in numbers], [dbm for _, dbm in numbers])
+        return JSONResponse(plain(asdict(found)))
 
     async def _background(self, request: Request) -> Response:
         picture = self._pictures.get(request.path_params["name"])

@@ -59,8 +59,27 @@ def test_found_here_is_asked_twice_and_recorded_as_a_persons_word(tab: Any, walk
     assert not [s for s in walking.runner.kernel.sources() if s.state == "found"]
 
 
+def test_a_turn_without_readings_claims_no_bearing_and_one_with_them_is_fitted(
+    tab: Any, walking: Flown
+) -> None:
+    button = tab.locator("#walk-turn")
+    button.click()
+    assert "Turn once round" in tab.inner_text("#walk-bearing")
+    button.click()
+    assert "nothing was heard" in tab.inner_text("#walk-bearing")
+    said = tab.evaluate(
+        """async () => {
+          const { bearingWords } = await import("/turn.js");
+          const level = (h) => Math.round(-70 + 6 * Math.cos(((h - 120) * Math.PI) / 180));
+          const heard = [...Array(18).keys()].map((k) => `${20 * k}:${level(20 * k)}`).join(",");
+          return bearingWords(await (await fetch(`bearing?heard=${heard}`)).json());
+        }"""
+    )
+    assert said.startswith("Bearing 12") or said.startswith("Bearing 11"), said
+
+
 def test_one_hand_reaches_everything_and_nothing_is_cut_off(tab: Any, walking: Flown) -> None:
-    for name in ("#walk-sound", "#walk-mark", "#hold-all"):
+    for name in ("#walk-sound", "#walk-turn", "#walk-mark", "#hold-all"):
         box = tab.locator(name).bounding_box()
         assert box["height"] >= 40, f"{name} is too low for a thumb"
         assert box["x"] >= 0 and box["x"] + box["width"] <= PHONE["width"]

@@ -1,6 +1,7 @@
 // For people who carry a radio: where to go next, how strong it is now, and a tone for ears that need no screen.
 import { model } from "./model.js";
 import { press, notice } from "./commands.js";
+import { heardWhileTurning } from "./turn.js";
 
 const $ = (id) => document.getElementById(id);
 const RECENT = 8; // readings that make a trend
@@ -41,6 +42,8 @@ export function trend(values) {
   return Math.abs(change) < 1.5 ? "steady" : change > 0 ? "warmer" : "colder";
 }
 
+const course = () => model.frame?.robots.find((robot) => robot.name === me)?.heading_deg ?? 0;
+
 function take() {
   for (const heard of model.detections) {
     const dbm = heard.heard_dbm[me];
@@ -50,6 +53,7 @@ function take() {
     if (levels.length > RECENT) levels.shift();
     peak = peak === null ? dbm : Math.max(peak, dbm);
     if (sound && heard.seenAt) tick(dbm);
+    if (heard.seenAt) heardWhileTurning(dbm, course());
   }
 }
 

@@ -1,0 +1,40 @@
+// One turn round with the radio held in front: the body shields what is behind, and the server fits a bearing.
+// The heading is the phone's compass where the browser gives it (over https, or on this machine), else the course walked.
+const $ = (id) => document.getElementById(id);
+const turn = { heard: null };
+let compass = null;
+
+addEventListener("deviceorientationabsolute", (event) => {
+  if (event.alpha !== null) compass = { deg: (360 - event.alpha) % 360, at: performance.now() };
+});
+
+export function headingNow(course_deg) {
+  return compass && performance.now() - compass.at < 2000 ? compass.deg : course_deg;
+}
+
+export function heardWhileTurning(dbm, course_deg) {
+  if (turn.heard) turn.heard.push([headingNow(course_deg), dbm]);
+  if (turn.heard) say(`Turn once round, slowly: heard ${turn.heard.length} times.`);
+}
+
+function say(text) { $("walk-bearing").textContent = text; $("walk-bearing").hidden = !text; }
+
+export function bearingWords(found) {
+  if (found.why) return `No bearing: ${found.why}.`;
+  return `Bearing ${Math.round(found.bearing_deg)}°, off by ${Math.round(found.error_90_deg)}° at most in 9 of 10 turns.`;
+}
+
+$("walk-turn").addEventListener("click", async () => {
+  if (!turn.heard) {
+    turn.heard = [];
+    $("walk-turn").textContent = "Turned round";
+    say("Turn once round, slowly; without a compass walk a small circle. Then press again.");
+    return;
+  }
+  const heard = turn.heard.map(([heading, dbm]) => `${heading.toFixed(1)}:${dbm}`).join(",");
+  turn.heard = null;
+  $("walk-turn").textContent = "Turn for a bearing";
+  if (!heard) { say("No bearing: nothing was heard in the turn."); return; }
+  const answer = await fetch(`bearing?heard=${heard}`).catch(() => null);
+  say(answer?.ok ? bearingWords(await answer.json()) : "No answer from the mission's computer.");
+});
