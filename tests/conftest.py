@@ -1,9 +1,7 @@
 """What holds for every test: no claim about time, since machines are slow and busy, and nothing is left running."""
 
 import asyncio
-import os
 import threading
-import warnings
 from asyncio import runners
 from collections.abc import Iterator
 
@@ -45,14 +43,6 @@ def _closes_a_generator(task: "asyncio.Task[object]") -> bool:
 runners._cancel_all_tasks = _note_left_tasks  # type: ignore[attr-defined]
 
 
-def _leak(what: str) -> None:
-    """Fail the test; where `FIELDKIT_LEAKS=warn` says so, only say it in the summary."""
-    if os.environ.get("FIELDKIT_LEAKS") == "warn":
-        warnings.warn(what, stacklevel=2)
-    else:
-        pytest.fail(what)
-
-
 @pytest.fixture(autouse=True)
 def nothing_is_left_running() -> Iterator[None]:
     """Fail a test that leaves a thread; those that fixtures of a wider scope have started are theirs."""
@@ -67,7 +57,7 @@ def nothing_is_left_running() -> Iterator[None]:
         thread.join(ENDING_S / len(left))
     alive = [repr(thread) for thread in left if thread.is_alive()]
     if alive:
-        _leak(f"the test leaves threads running: {', '.join(alive)}")
+        pytest.fail(f"the test leaves threads running: {', '.join(alive)}")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -76,5 +66,5 @@ def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
     result = yield
     left, _left_tasks[:] = list(_left_tasks), []
     if left:
-        _leak(f"the test leaves tasks running: {'; '.join(left)}")
+        pytest.fail(f"the test leaves tasks running: {'; '.join(left)}")
     return result  # type: ignore[return-value]

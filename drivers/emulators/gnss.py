@@ -102,6 +102,7 @@ class EmulatedGpsd:
             pass
         finally:
             self._clients.discard(writer)
+            writer.close()  # a client that left has only closed its own half
 
     def tell(self, seen: Seen) -> None:
         """To everybody who watches."""
