@@ -207,7 +207,8 @@ class ReturnSequence:
                 theirs = _ways(other, (other.place_m, *trip.path[trip.leg :]), settings)
             else:
                 left = other.segment() or standing(other.place_m)
-                theirs = [other.unseen(settings) or other.way(left, settings)]
+                somewhere = other.unseen(settings)
+                theirs = [left, other.way(left, settings)] if somewhere is None else [somewhere]
             # Side by side is where robots start: only a path that comes nearer than now is in the way.
             limit_m = min(settings.near_m * 1.2, math.dist(path[0], other.place_m) - 0.01)
             if any(ever_m(one, two) < limit_m for one in mine for two in theirs):
@@ -230,9 +231,9 @@ class ReturnSequence:
 
 
 def _ways(robot: Watched, path: Sequence[Place], settings: SafetySettings) -> list[Driven]:
-    """What it drives along `path`: it begins with a turn."""
-    first, *rest = (Segment(a, b) for a, b in itertools.pairwise(path))
-    return [robot.way(first, settings), *rest]
+    """What it drives along `path`, straight or beginning with a turn: no robot turns as wide as it is taken to."""
+    straight = [Segment(a, b) for a, b in itertools.pairwise(path)]
+    return [robot.way(straight[0], settings), *straight]
 
 
 def _place_of(robot: Watched) -> Place | None:

@@ -152,3 +152,14 @@ def test_the_reach_of_a_turn_is_never_cut_short() -> None:
         )
         if nearest < 0.29:
             assert asked(mine, tuple(to), other, None)
+
+
+def test_a_way_home_is_refused_where_the_turn_leads_round_another_that_stands_on_the_straight_way() -> None:
+    """The car may turn tighter than it is taken to, up to on the spot."""
+    robots = {"a": robot("a", (10.0, 10.0), 270.0), "b": robot("b", (10.0, 9.6), 1.0)}
+    robots["a"].home_m = (10.0, 5.0)
+    wide = replace(LIMITS, turn_radius_m=1.0)
+    sequence = ReturnSequence()
+    sequence.ask("a", "operator")
+    sequence.step(robots, wide, 0)
+    assert "a" not in sequence.under_way
