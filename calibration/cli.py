@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from calibration.cli_collect import collect
+from calibration.cli_update import update
 from calibration.options import pairs as _pairs
 
 HELP = "Turn logged readings into an antenna file that a mission can trust, or say why they cannot carry one."
@@ -208,4 +209,5 @@ def import_(
         typer.echo(f"  warning: {note}")
 
 
+app.command()(update)
 app.command()(collect)

@@ -17,6 +17,7 @@ LONG_FILES: dict[str, str] = {}
 LONG_FUNCTIONS: dict[str, str] = {
     "calibration/cli.py fit": OPTIONS,
     "calibration/cli_collect.py collect": OPTIONS,
+    "calibration/cli_update.py update": OPTIONS,
     "drivers/positions/cli.py survey": OPTIONS,
     "mission/cli/missions.py replay": OPTIONS,
     "mission/cli/walk.py walk": OPTIONS,
