@@ -211,7 +211,9 @@ def source_map(history: History, source: SourceEstimate, refined: Refined | None
             e, n, z = zip(*places, strict=True)
             dots = axes.scatter(e, n, c=z, s=16, cmap="viridis", edgecolors="white", linewidths=0.3)
             figure.colorbar(dots, ax=axes, shrink=0.8, label="received there, dBm")
-        if np.all(np.isfinite(refined.cov_m2)):
+        for ring in refined.region:
+            axes.plot(*zip(*ring, strict=True), color="#1f77b4", lw=1.2)
+        if not refined.region and np.all(np.isfinite(refined.cov_m2)):
             axes.add_patch(ellipse(refined.east_m, refined.north_m, refined.cov_m2, "#1f77b4", "-"))
         axes.plot(refined.east_m, refined.north_m, "x", ms=8, mew=1.8, color="#1f77b4", label="refined")
     _draw_source(axes, source)

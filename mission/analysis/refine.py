@@ -49,6 +49,8 @@ class Refined:
     """Detections that are this source's, each counted by the probability that it is."""
     share: FloatArray
     """(d,) probability that each detection is this source's."""
+    region: tuple[tuple[tuple[float, ...], ...], ...] = ()
+    """Closed rings round the 90 % region; empty: it is the covariance's ellipse."""
 
     @property
     def sigma_m(self) -> float:

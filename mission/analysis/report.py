@@ -14,6 +14,7 @@ from mission.analysis import words
 from mission.analysis.coverage import Coverage, coverage
 from mission.analysis.faults import faults
 from mission.analysis.history import History, read_history
+from mission.analysis.placed import placed
 from mission.analysis.refine import Fit, Refined, model_fit, refine
 from mission.analysis.use import stretches, use
 
@@ -121,7 +122,7 @@ def refinements(history: History) -> list[Refined]:
         if source.state == "found"
         or (source.state == "candidate" and source.p_exists > 0.5 and source.receptions >= FEW_RECEPTIONS)
     ]
-    return refine(
+    refined = refine(
         [detection for _, detection in history.detections],
         wanted,
         engine.antenna,
@@ -129,6 +130,7 @@ def refinements(history: History) -> list[Refined]:
         levels_db=engine.power_levels_db,
         place_sigma_m=engine.pose_sigma_m,
     )
+    return placed(history, refined)
 
 
 def _shown(history: History) -> list[SourceEstimate]:

@@ -75,7 +75,7 @@ def packets_of(
     number, names, began = _numbered(kept, round(window_s * 1e9))
     offsets = offsets_db or {}
     level = np.array([each.rss_dbm - offsets.get(each.robot, 0.0) for each in kept], dtype=float)
-    listened = [_listened(path, gap_ns) for path in paths.values()]
+    listened = [listened_along(path, gap_ns) for path in paths.values()]
     return PacketLog(
         Packets(place[known], level, number),
         names,
@@ -124,7 +124,7 @@ def _numbered(readings: Sequence[RssReading], window_ns: int) -> tuple[IntArray,
     return number, tuple(names), np.array(began, dtype=np.int64)
 
 
-def _listened(path: Path, max_gap_ns: int) -> Silence:
+def listened_along(path: Path, max_gap_ns: int) -> Silence:
     """Where a robot was between its poses; longer gaps are nobody's."""
     gap = np.diff(path.t_ns)
     near = (gap > 0) & (gap <= max_gap_ns)

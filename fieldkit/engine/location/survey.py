@@ -96,7 +96,7 @@ def sources_of(
         ]
     found = []
     for number, (name, group) in enumerate(groups):
-        source = _with_silence(log, group, radio)
+        source = with_silence(log, group, radio)
         found.append(
             _judged(number + 1, name, group, source, locate(source, radio, ground), radio, rules, log)
         )
@@ -108,7 +108,7 @@ def _of_name(log: "PacketLog", name: str) -> IntArray:
     return np.array([k for k, each in enumerate(log.names) if each == name], dtype=np.int64)
 
 
-def _with_silence(log: "PacketLog", group: IntArray, radio: Radio) -> OneSource:
+def with_silence(log: "PacketLog", group: IntArray, radio: Radio) -> OneSource:
     """What was heard of a source, and the places where it was not: of the size of the correlation length."""
     source = log.packets.of(group)
     listened = log.listened
