@@ -99,11 +99,14 @@ class Operator:
 
     `release` gives a robot up to somebody else's hands, `withdraw` is safety taking one out of the mission until
     it is resumed; `remove` says that the transmitter `source` has been taken away; `exclude` closes the polygon
-    `area_m` (east, north) to all robots; `mark` is a person's word that a transmitter is where `robot` stands.
+    `area_m` (east, north) to all robots; `mark` is a person's word that a transmitter is where `robot` stands,
+    and `bearing` the bearing that a person has taken there, in words in `reason`. Neither enters the belief.
     """
 
     t_ns: int
-    action: Literal["hold", "resume", "return", "end", "release", "withdraw", "remove", "exclude", "mark"]
+    action: Literal[
+        "hold", "resume", "return", "end", "release", "withdraw", "remove", "exclude", "mark", "bearing"
+    ]
     robot: str | None = None
     reason: str = ""
     source: int | None = None

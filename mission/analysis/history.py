@@ -12,6 +12,7 @@ from fieldkit.messages import (
     Detection,
     FloatArray,
     Hold,
+    Operator,
     Plan,
     Pose,
     ReceiverState,
@@ -43,6 +44,8 @@ class History:
     """What safety ordered."""
     notes: list[tuple[float, str, str]] = field(default_factory=list)
     """Time s, level, text."""
+    said: list[tuple[float, Operator]] = field(default_factory=list)
+    """What people said of where they stood: marks, and bearings they took."""
     left: list[tuple[float, float]] = field(default_factory=list)
     """Time s, probability that a source is left."""
     belief: BeliefGrid | None = None
@@ -124,6 +127,8 @@ def _sort(history: History, t_s: float, value: Any, origin: str) -> None:
                 modes.append((t_s, mode))
         case ReceiverState():
             history.receivers.setdefault(value.robot, []).append((t_s, value.up, value.reason))
+        case Operator(action="mark" | "bearing"):
+            history.said.append(((value.t_ns - history.start_ns) * 1e-9, value))
         case RssReading():
             history.readings[value.robot] = history.readings.get(value.robot, 0) + 1
         case list() | tuple():

@@ -84,6 +84,7 @@ def _page(name: str, history: History, covered: Coverage, refined: list[Refined]
         fit_words=words.fit(fit),
         ending=words.ending(history),
         sources=[_row(history, source, by_ident.get(source.ident)) for source in _shown(history)],
+        said=_said(history),
         uses=use(history, rows),
         percent=words.percent,
         faults=faults(history),
@@ -176,6 +177,28 @@ def _row(history: History, source: SourceEstimate, refined: Refined | None) -> d
             "refined_error_m": _off(history, refined.east_m, refined.north_m),
         }
     return row
+
+
+def _said(history: History) -> list[dict[str, Any]]:
+    """What people said, with where they stood by their own track."""
+    rows = []
+    for t_s, word in history.said:
+        track = history.tracks.get(word.robot or "")
+        if track is None:
+            continue
+        east_m, north_m = (float(np.interp(t_s, track[:, 0], track[:, k])) for k in (1, 2))
+        lat_deg, lon_deg, _ = history.mission.frame.to_geodetic(east_m, north_m)
+        rows.append(
+            {
+                "t_s": t_s,
+                "who": word.robot,
+                "what": "a transmitter is here" if word.action == "mark" else word.reason,
+                "east_m": east_m,
+                "north_m": north_m,
+                "lat_lon": coordinates(lat_deg, lon_deg).lat_lon,
+            }
+        )
+    return rows
 
 
 def _off(history: History, east_m: float, north_m: float) -> float | None:

@@ -159,8 +159,8 @@ class Kernel:
             return self._remove(event)
         if event.action == "exclude":
             return self._exclude(event)
-        if event.action == "mark":
-            return self._mark(event)
+        if event.action in ("mark", "bearing"):
+            return self._word_of(event)
         targets = self.robots if event.robot is None else {event.robot: self.robots.get(event.robot)}
         for robot in targets.values():
             if robot is not None and event.action in ("hold", "return", "release", "withdraw"):
@@ -176,12 +176,14 @@ class Kernel:
         why = f": {event.reason}" if event.reason else ""
         return Outcome(notes=(f"{who}: {event.action} {event.robot or 'all'}{why}",))
 
-    def _mark(self, event: Operator) -> Outcome:
-        """A person's word that a transmitter is where they stand: written down, and kept apart from the belief's."""
+    def _word_of(self, event: Operator) -> Outcome:
+        """A person's word of where they stand: written down, and kept apart from the belief's."""
         robot = self.robots.get(event.robot or "")
         if robot is None or robot.pose is None:
-            return Outcome(notes=(f"operator: mark {event.robot}: where that is, is not known",))
+            return Outcome(notes=(f"operator: {event.action} {event.robot}: where that is, is not known",))
         place = f"{robot.pose.east_m:.1f} m east, {robot.pose.north_m:.1f} m north"
+        if event.action == "bearing":
+            return Outcome(notes=(f"{event.robot} says: {event.reason}, taken at {place}",))
         return Outcome(notes=(f"{event.robot} says: a transmitter is here, at {place}",))
 
     def _remove(self, event: Operator) -> Outcome:

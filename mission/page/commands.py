@@ -40,6 +40,24 @@ class Mark(_Asked):
     robot: Annotated[str, Field(max_length=200)]
 
 
+class TakenBearing(_Asked):
+    """A person has turned round with the radio in front."""
+
+    action: Literal["bearing"]
+    robot: Annotated[str, Field(max_length=200)]
+    bearing_deg: Annotated[float, Field(ge=0.0, le=360.0, allow_inf_nan=False)]
+    error_90_deg: Annotated[float, Field(ge=0.0, le=180.0, allow_inf_nan=False)]
+    swing_db: Annotated[float, Field(ge=0.0, le=200.0, allow_inf_nan=False)]
+
+    @property
+    def words(self) -> str:
+        """For the recording."""
+        return (
+            f"bearing {self.bearing_deg:.0f} degrees, off by {self.error_90_deg:.0f} at most (90 %), "
+            f"{self.swing_db:.0f} dB between front and back"
+        )
+
+
 class Exclude(_Asked):
     """An area that is closed to all robots."""
 
@@ -47,10 +65,9 @@ class Exclude(_Asked):
     area_m: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=3, max_length=100)]
 
 
-_COMMAND: TypeAdapter[Steer | End | Remove | Mark | Exclude] = TypeAdapter(
-    Annotated[Steer | End | Remove | Mark | Exclude, Field(discriminator="action")]
-)
-ACTIONS = ("hold", "resume", "return", "release", "end", "remove", "mark", "exclude")
+_Command = Steer | End | Remove | Mark | TakenBearing | Exclude
+_COMMAND: TypeAdapter[_Command] = TypeAdapter(Annotated[_Command, Field(discriminator="action")])
+ACTIONS = ("hold", "resume", "return", "release", "end", "remove", "mark", "exclude", "bearing")
 
 
 def message_of(data: str | bytes) -> dict[str, Any]:
@@ -68,6 +85,8 @@ def checked_command(message: dict[str, Any]) -> dict[str, Any] | str:
         command = _COMMAND.validate_python(message)
     except (ValidationError, RecursionError) as error:
         return _words(message, error)
+    if isinstance(command, TakenBearing):
+        return {"action": command.action, "robot": command.robot, "reason": command.words}
     return {"robot": None, **command.model_dump()}
 
 

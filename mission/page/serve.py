@@ -52,7 +52,7 @@ class LivePage:
 
         def put() -> None:
             action = command["action"]
-            runner.put(Operator(runner.setup.clock.now_ns(), reason=f"page: {action}", **command))
+            runner.put(Operator(runner.setup.clock.now_ns(), **{"reason": f"page: {action}"} | command))
 
         loop.call_soon_threadsafe(put)
         return ""
@@ -63,7 +63,10 @@ def live(mission: Mission, *, host: str = "127.0.0.1", port: int = 0) -> Iterato
     """The page of a mission about to run. Raises `ConfigError` where the port is taken."""
     made = LivePage(mission, host, port)
     with made.page:
-        yield made
+        try:
+            yield made
+        finally:
+            made.follower.publish()  # what came after the last tick: how it ended
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """The page in the hand of somebody who walks: where to go, how strong it is, a tone after a tap, their own word."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -76,6 +77,29 @@ def test_a_turn_without_readings_claims_no_bearing_and_one_with_them_is_fitted(
         }"""
     )
     assert said.startswith("Bearing 12") or said.startswith("Bearing 11"), said
+
+
+def test_a_bearing_from_a_whole_turn_is_recorded_as_a_persons_word(tab: Any, walking: Flown) -> None:
+    tab.locator("#walk-turn").click()
+    for number in range(12):
+        heading = 30.0 * number
+        tab.evaluate(
+            """(deg) => {
+              const turned = new Event("deviceorientationabsolute");
+              turned.alpha = (360 - deg) % 360;
+              dispatchEvent(turned);
+            }""",
+            heading,
+        )
+        walking.receivers["r1"].hear(round(-70.0 + 6.0 * math.cos(math.radians(heading - 120.0))))
+        tab.wait_for_function(
+            f"() => document.getElementById('walk-bearing').textContent.includes('heard {number + 1} times')"
+        )
+    tab.locator("#walk-turn").click()
+    tab.wait_for_function("() => document.getElementById('walk-bearing').textContent.startsWith('Bearing 1')")
+    wait_until(lambda: walking.asked("bearing", "r1"))
+    (taken,) = [event for event in walking.operated if event.action == "bearing"]
+    assert taken.reason.startswith(("bearing 119", "bearing 120", "bearing 121")), taken.reason
 
 
 def test_one_hand_reaches_everything_and_nothing_is_cut_off(tab: Any, walking: Flown) -> None:

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from fieldkit.cli import build
 from fieldkit.errors import RecordingError
-from fieldkit.messages import Hold, Pose, ReceiverState, RssReading, Tick, VehicleState
+from fieldkit.messages import Hold, Operator, Pose, ReceiverState, RssReading, Tick, VehicleState
 from fieldkit.recording import RecordingWriter, open_recording
 from mission.analysis.faults import faults
 from mission.analysis.history import read_history
@@ -119,3 +119,23 @@ def test_shares_of_a_robots_time_make_a_whole(log: Path) -> None:
         assert each.distance_m > 0.0
     readings = [e for _, _, e in open_recording(log).events() if isinstance(e, RssReading)]
     assert sum(history.readings.values()) == len(readings)
+
+
+def test_what_people_said_stands_apart_from_what_was_found(log: Path, tmp_path: Path) -> None:
+    path = tmp_path / "mission.mcap"
+    whole = open_recording(log)
+    with RecordingWriter(path, mission_toml=whole.mission_toml, antenna_toml=whole.antenna_toml) as writer:
+        for number, log_ns, event in whole.events():
+            writer.event(number, log_ns, event)
+        at_ns = 30_000_000_000
+        writer.event(number + 1, at_ns, Operator(at_ns, "mark", "r1", "page: mark"))
+        writer.event(number + 2, at_ns, Operator(at_ns, "bearing", "r2", "bearing 123 degrees"))
+        writer.event(number + 3, at_ns, Operator(at_ns, "mark", "nobody"))
+    assert [event.robot for _, event in read_history(path).said] == ["r1", "r2", "nobody"]
+    page = tmp_path / "report.html"
+    said = write_report(path, page)
+    words = Page(page.read_text()).words
+    assert "What people said" in words and "a transmitter is here" in words and "bearing 123 degrees" in words
+    assert said["found"] == 0, "a word finds nothing"
+    write_report(log, page)
+    assert "What people said" not in Page(page.read_text()).words

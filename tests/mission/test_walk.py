@@ -17,6 +17,7 @@ from mission.core.mission_file import parse_mission
 from mission.core.walk_text import WalkOptions, walk_text
 from mission.lab.study.walk import GUIDES, Job, _lanes, summary, trial, walk_mission
 from mission.lab.synthetic import small_mission
+from mission.page.commands import checked_command
 from mission.safety.rules import Safety
 
 S = 10**9
@@ -95,6 +96,23 @@ def test_a_mark_is_a_persons_word_and_changes_nothing_else(tmp_path: Path) -> No
     marked = kernel.step(Operator(2 * S, "mark", "r1"))
     assert marked.notes == ("r1 says: a transmitter is here, at 2.0 m east, 3.0 m north",)
     assert not marked.commands and kernel.digest() == before
+
+
+def test_a_bearing_taken_is_written_down_as_a_persons_word_and_changes_nothing_else(tmp_path: Path) -> None:
+    kernel = Kernel(small_mission(tmp_path, duration_s=5.0).kernel)
+    kernel.step(Pose(S, "r1", 2.0, 3.0))
+    before = kernel.digest()
+    command = checked_command(
+        {"action": "bearing", "robot": "r1", "bearing_deg": 123.4, "error_90_deg": 14.0, "swing_db": 9.0}
+    )
+    assert isinstance(command, dict)
+    taken = kernel.step(Operator(2 * S, **command))
+    assert taken.notes == (
+        "r1 says: bearing 123 degrees, off by 14 at most (90 %), 9 dB between front and back, "
+        "taken at 2.0 m east, 3.0 m north",
+    )
+    assert not taken.commands and kernel.digest() == before
+    assert isinstance(checked_command({"action": "bearing", "robot": "r1", "bearing_deg": "<b>"}), str)
 
 
 # -- the world -------------------------------------------------------------------------------------------------

@@ -1,5 +1,8 @@
 // One turn round with the radio held in front: the body shields what is behind, and the server fits a bearing.
 // The heading is the phone's compass where the browser gives it (over https, or on this machine), else the course walked.
+import { send } from "./commands.js";
+import { model } from "./model.js";
+
 const $ = (id) => document.getElementById(id);
 const turn = { heard: null };
 let compass = null;
@@ -36,5 +39,10 @@ $("walk-turn").addEventListener("click", async () => {
   $("walk-turn").textContent = "Turn for a bearing";
   if (!heard) { say("No bearing: nothing was heard in the turn."); return; }
   const answer = await fetch(`bearing?heard=${heard}`).catch(() => null);
-  say(answer?.ok ? bearingWords(await answer.json()) : "No answer from the mission's computer.");
+  if (!answer?.ok) { say("No answer from the mission's computer."); return; }
+  const found = await answer.json();
+  say(bearingWords(found));
+  if (found.why || !model.mayCommand || !model.hello.live) return;
+  const { bearing_deg, error_90_deg, swing_db } = found; // written down as this person's word
+  send("bearing", { robot: $("walk-who").value, bearing_deg, error_90_deg, swing_db });
 });
