@@ -10,7 +10,8 @@ from drivers.gnss.fixes import UERE_M, Fix
 
 KNOT_M_S = 1852.0 / 3600.0
 NO_GGA_S = 5.0
-"""A receiver without GGA for so long sends none."""
+NO_GGA_RMC = 3
+"""A receiver without GGA for so long, and in so many RMC, sends none: after a pause RMC may just come first."""
 FRESH_S = 2.0
 """Speed, course and errors told longer before a fix say nothing of it."""
 LONGEST_SENTENCE = 120
@@ -32,6 +33,8 @@ class NmeaReader:
         """RMC's word that the position is not valid."""
         self._gga_s: float | None = None
         """When the last GGA came, or the first sentence of all."""
+        self._rmc_alone = 0
+        """RMC since the last GGA."""
 
     def feed(self, data: bytes, at_s: float) -> list[Fix]:
         """What complete sentences tell. `at_s` is when they came, by any steady clock."""
@@ -74,7 +77,9 @@ class NmeaReader:
             speed = _number(sentence.spd)
             self._motion = (at_s, None if speed is None else speed * KNOT_M_S, _number(sentence.cog))
             # A receiver that sends no GGA tells its place here, and nothing of its quality.
-            return self._fix(sentence, at_s) if at_s - self._gga_s > NO_GGA_S else None
+            self._rmc_alone += 1
+            alone = at_s - self._gga_s > NO_GGA_S and self._rmc_alone >= NO_GGA_RMC
+            return self._fix(sentence, at_s) if alone else None
         if kind == "VTG":
             speed = _number(sentence.sogk)
             self._motion = (at_s, None if speed is None else speed / 3.6, _number(sentence.cogt))
@@ -83,7 +88,7 @@ class NmeaReader:
             known = [each for each in errors if each is not None and each > 0.0]
             self._sigma = (at_s, max(known) if known else None)
         elif kind == "GGA":
-            self._gga_s = at_s
+            self._gga_s, self._rmc_alone = at_s, 0
             return self._from_gga(sentence, at_s)
         return None
 

@@ -78,9 +78,18 @@ def test_a_receiver_without_a_fix_says_so(line: bytes, why: str) -> None:
 def test_rmc_alone_tells_a_place_and_nothing_of_its_quality() -> None:
     reader = NmeaReader()
     assert reader.feed(RMC, 100.0) == [], "a GGA may follow"
+    assert reader.feed(RMC, 103.0) == []
     (fix,) = reader.feed(RMC, 106.0)
     assert fix.sigma_m is None
     assert "says nothing of its quality" in FixJudge(15.0, 25.0).doubt(fix, 0.0)
+
+
+def test_after_a_pause_an_rmc_that_comes_before_its_gga_tells_no_place() -> None:
+    reader = NmeaReader()
+    assert len(reader.feed(RMC + GGA, 100.0)) == 1
+    assert reader.feed(RMC, 120.0) == []
+    (fix,) = reader.feed(GGA, 120.0)
+    assert fix.sigma_m is not None
 
 
 def test_errors_that_the_receiver_states_count_before_its_hdop() -> None:
