@@ -118,6 +118,7 @@ def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
         say(f"no report was written: {error}; 'fieldkit report {folder}/mission.mcap -o FILE' tries again")
     else:
         say(f"written: {folder}/{{mission.mcap, mission.toml, report.html}}")
+        say(f"to look again: fieldkit dashboard {folder}/mission.mcap")
     if runner.unconfirmed:
         names = ", ".join(runner.unconfirmed)
         say(f"NOT CONFIRMED to hold: {names}. Stop by hand: remote control, or the vehicle's switch")

@@ -24,7 +24,7 @@ def reason_to_end(settings: KernelSettings, progress: Progress) -> str:
         return f"no robot could be steered for {settings.idle_limit_s:.0f} s"
     wanted = settings.sources_expected
     if wanted is not None and len(progress.found_at_s) >= wanted:
-        return f"all {wanted} expected sources are found"
+        return f"all {wanted} expected sources are found" if wanted != 1 else "the expected source is found"
     periods = settings.stop_after_periods
     if periods is not None:
         latest_s = max(progress.found_at_s, default=0.0)

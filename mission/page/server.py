@@ -41,6 +41,8 @@ NEWS_WAITING = 200
 LONGEST_MESSAGE = 16_384
 SEND_TIMEOUT_S = 10.0
 """A browser that takes nothing for this long is let go."""
+LAST_WORDS_S = 2.0
+"""So long the end of a mission waits for browsers to take how it ended."""
 ENDING_S = 3.0
 """Streams that have not ended by then are cut off."""
 UNKNOWN_HOST = "unknown host name: use the address that was printed"
@@ -85,6 +87,8 @@ class Mailbox:
         self._newest: dict[str, str] = {}
         self._news: deque[str] = deque(maxlen=NEWS_WAITING)
         self._more = asyncio.Event()
+        self._taken = asyncio.Event()
+        self._taken.set()
         self.dropped = 0
 
     def put(self, slot: str, text: str) -> None:
@@ -92,17 +96,23 @@ class Mailbox:
         self.dropped += slot in self._newest
         self._newest.pop(slot, None)
         self._newest[slot] = text
-        self._more.set()
+        self._fill()
 
     def add(self, text: str) -> None:
         """News, in order; the oldest are dropped."""
         self.dropped += len(self._news) == self._news.maxlen
         self._news.append(text)
-        self._more.set()
+        self._fill()
+
+    async def taken(self) -> None:
+        """Everything has been taken, and the last of it sent."""
+        await self._taken.wait()
 
     async def items(self) -> AsyncIterator[str]:
         """What is there, as it comes."""
         while True:
+            if not self._more.is_set():
+                self._taken.set()
             await self._more.wait()
             self._more.clear()
             waiting, self._newest = self._newest, {}
@@ -110,6 +120,10 @@ class Mailbox:
                 yield text
             while self._news:
                 yield self._news.popleft()
+
+    def _fill(self) -> None:
+        self._more.set()
+        self._taken.clear()
 
 
 class Page:
@@ -137,6 +151,7 @@ class Page:
         self.loop: asyncio.AbstractEventLoop | None = None
         """The server's event loop, while it runs."""
         self.clients = 0
+        self._mailboxes: set[Mailbox] = set()
         self._ready = threading.Event()
         app = Starlette(
             routes=[
@@ -174,6 +189,9 @@ class Page:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self.loop is not None and self._thread.is_alive():
+            with contextlib.suppress(TimeoutError, RuntimeError):
+                asyncio.run_coroutine_threadsafe(self._last_words(), self.loop).result(LAST_WORDS_S)
         if self._answers is not None and self.loop is not None and self._thread.is_alive():
             with contextlib.suppress(TimeoutError, RuntimeError):
                 asyncio.run_coroutine_threadsafe(self._answers.end(), self.loop).result(ENDING_S)
@@ -187,6 +205,10 @@ class Page:
         if self.loop is not None:
             with contextlib.suppress(RuntimeError):  # it has just ended
                 self.loop.call_soon_threadsafe(action)
+
+    async def _last_words(self) -> None:
+        await asyncio.sleep(0)  # what was handed over before is in the mailboxes then
+        await asyncio.gather(*(mailbox.taken() for mailbox in self._mailboxes))
 
     def _run(self) -> None:
         async def serve() -> None:
@@ -227,6 +249,7 @@ class Page:
         await websocket.accept()
         mailbox = Mailbox()
         self.clients += 1
+        self._mailboxes.add(mailbox)
         self._show.open(mailbox)
         sending = asyncio.create_task(_send(websocket, mailbox))
         try:
@@ -235,6 +258,7 @@ class Page:
             pass
         finally:
             self.clients -= 1
+            self._mailboxes.discard(mailbox)
             self._show.close(mailbox)
             sending.cancel()
             await asyncio.wait({sending})

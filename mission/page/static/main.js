@@ -36,10 +36,10 @@ function showState() {
   const live = model.hello?.live;
   const silent = model.connected && live && performance.now() - model.heardAt > SILENT_MS;
   const ended = model.frame?.end;
-  const words = ended && live ? `ended: ${ended}` : !model.connected ? "not connected" : silent ? "mission silent"
+  const words = ended && live ? (innerWidth < 700 ? "ended" : `ended: ${ended}`) : !model.connected ? "not connected" : silent ? "mission silent"
     : live ? (model.mayCommand ? "live" : "live, only looking") : "recording";
   if (chip.textContent !== words) chip.textContent = words;
-  chip.className = `chip ${!model.connected || silent ? "lost" : live && !ended ? "live" : ""}`;
+  chip.className = `chip ${!(ended && live) && (!model.connected || silent) ? "lost" : live && !ended ? "live" : ""}`;
 }
 
 function refresh() {

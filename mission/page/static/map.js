@@ -228,7 +228,7 @@ function drawSources(frame) {
       if (!is.found) pen.setLineDash([5, 4]);
       pen.stroke();
       pen.setLineDash([]);
-      pen.globalAlpha = 0.12; pen.fillStyle = colour; pen.fill(); pen.globalAlpha = 1;
+      pen.globalAlpha = 0.12 * Math.min(1, 0.1 + 3 * source.p); pen.fillStyle = colour; pen.fill(); pen.globalAlpha = 1;
     }
     pen.strokeStyle = css.map; pen.lineWidth = 5; cross(x, y, is.removed); pen.stroke();
     pen.strokeStyle = colour; pen.lineWidth = 2.5; cross(x, y, is.removed); pen.stroke();

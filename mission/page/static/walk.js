@@ -1,10 +1,13 @@
 // For people who carry a radio: where to go next, how strong it is now, and a tone for ears that need no screen.
 import { model } from "./model.js";
 import { press, notice } from "./commands.js";
+import { element } from "./dom.js";
 import { heardWhileTurning } from "./turn.js";
+import { showWhere } from "./where.js";
 
 const $ = (id) => document.getElementById(id);
 const RECENT = 8; // readings that make a trend
+const MOST_FINDS = 3; // shown on the panel; all of them are under Sources
 const TURNED_DEG = 20; // less than this off is straight on
 let me = "";
 let heardUpTo = -1;
@@ -72,6 +75,25 @@ function tick(dbm) { // Higher and longer the stronger it is.
 
 function set(id, text) { if ($(id).textContent !== text) $(id).textContent = text; }
 
+// What has been found, nearest first: where it is from here, and by a tap where that is in other words.
+function showFinds(here) {
+  const finds = model.frame.sources.filter((source) => source.state === "found").map((source) => {
+    const [east, north] = here ? [source.east_m - here.east_m, source.north_m - here.north_m] : [0, 0];
+    const off_m = Math.hypot(east, north);
+    const way = turn((Math.atan2(east, north) * 180) / Math.PI, here?.heading_deg ?? 0);
+    const from = here ? `, ${Math.round(off_m)} m from you, ${way}` : "";
+    return { source, off_m, words: `Source ${source.ident} found: ${source.east_m.toFixed(1)} m E, ${source.north_m.toFixed(1)} m N${from}` };
+  }).sort((a, b) => a.off_m - b.off_m).slice(0, MOST_FINDS);
+  const box = $("walk-found");
+  box.hidden = !finds.length;
+  while (box.children.length > finds.length) box.lastChild.remove();
+  for (const [index, { source, words }] of finds.entries()) {
+    const button = box.children[index] ?? box.appendChild(element("button", { title: "Tap: where that is, to copy" }));
+    if (button.textContent !== words) button.textContent = words;
+    button.onclick = () => showWhere(source.east_m, source.north_m, `Source ${source.ident}`);
+  }
+}
+
 export function walk() {
   const names = people();
   $("walk").hidden = !names.length;
@@ -95,6 +117,7 @@ export function walk() {
     set("walk-go", `${Math.round(Math.hypot(east, north))} m, ${turn(bearing, mine.heading_deg ?? 0)}`);
     set("walk-why", mine.doing.startsWith("resolve") ? "to pin down what was heard" : "to listen where nobody has");
   }
+  showFinds(known ? mine : null);
   const silent = !mine.radio_up;
   set("walk-now", silent ? "radio down" : levels.length ? `${Math.round(levels.at(-1))} dBm` : "silence");
   set("walk-peak", peak === null ? "–" : `${Math.round(peak)} dBm`);
