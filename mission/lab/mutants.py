@@ -27,10 +27,11 @@ TIMEOUT_S = 240.0
 TARGETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "safety": (
         ("mission/safety/rules.py", "mission/safety/limits.py", "mission/safety/monitor.py",
-         "mission/safety/separation.py", "mission/safety/return_sequence.py"),
+         "mission/safety/separation.py", "mission/safety/return_sequence.py", "fieldkit/geometry/turns.py"),
         ("tests/mission/test_safety.py", "tests/mission/test_escalation.py", "tests/mission/test_separation.py",
          "tests/mission/test_return_sequence.py", "tests/mission/test_monitor.py",
-         "tests/mission/test_watched.py", "tests/mission/test_safety_rules.py"),
+         "tests/mission/test_watched.py", "tests/mission/test_safety_rules.py",
+         "tests/mission/test_separation_turns.py", "tests/geometry/test_turns.py"),
     ),
     "kernel": (
         ("mission/core/kernel.py", "mission/core/fleet.py", "mission/core/tasks.py", "mission/core/turns.py",
