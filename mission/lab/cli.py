@@ -24,7 +24,7 @@ def demo(
         str,
         typer.Option(
             metavar="KIND",
-            help="A person walks instead: xbee, ble, wifi, lora, meshtastic, wildlife or yagi.",
+            help="A person walks instead: xbee, ble, wifi, lora, meshtastic, wildlife, json or yagi.",
         ),
     ] = "",
     drone: Annotated[bool, typer.Option("--drone", help="One drone with a sniffer dongle instead.")] = False,
@@ -85,7 +85,7 @@ def _small_demo(
     from mission.shell.warm_up import warm_up
 
     folder = run_folder(out)
-    made = demo_walk(folder, kind, seed, 2.0 * rate) if kind else demo_drone(folder, seed, rate)
+    made = demo_walk(folder, kind, seed, 2.0 * rate, say) if kind else demo_drone(folder, seed, rate)
     with made as (mission, setup, truth):
         say("preparing the engine (compiled once on a new machine, up to a minute) ...")
         warm_up(mission)

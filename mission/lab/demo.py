@@ -67,9 +67,9 @@ def example_readings() -> Path:
     raise ConfigError("examples/readings.csv is missing: is the installation complete?")
 
 
-def calibrate(readings: Path, out: Path) -> str:
+def calibrate(readings: Path, out: Path, how: tuple[str, ...] = ()) -> str:
     """Run `fieldkit calibrate fit` as a user would; what it said. The mission only ever sees the file."""
-    command = [sys.executable, "-m", "fieldkit", "calibrate", "fit", str(readings), "-o", str(out)]
+    command = [sys.executable, "-m", "fieldkit", "calibrate", "fit", str(readings), "-o", str(out), *how]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0 or not out.exists():
         raise DataError(f"calibrating {readings} failed:\n{done.stderr or done.stdout}")

@@ -1,6 +1,6 @@
 """A walk on emulated devices: one transmitter hidden in a field of 300 m, a person, and a radio of some kind."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +19,8 @@ from fieldkit.ports import VehicleLink
 from fieldkit.world.sources import TransientSource
 from mission.core.mission_file import Mission, read_mission
 from mission.core.walk_text import WalkOptions, walk_text
+from mission.lab.demo import calibrate
+from mission.lab.yagi_turns import turned_readings
 from mission.shell.setups import Setup, live
 
 SIZE_M = 300.0
@@ -55,18 +57,19 @@ def yagi_gain_db() -> list[float]:
     return [round(float(value), 2) for value in gain - gain.mean()]
 
 
-def with_yagi() -> tuple[Antenna, AntennaFile]:
-    """A radio with a yagi held in front, as it is and as a calibration with headings tells it."""
-    gains = yagi_gain_db()
-    pattern = {
-        "family": "tabulated",
-        "heading_deg": [10.0 * k for k in range(36)],
-        "gain_db": gains,
-        "gain_sigma_db": [1.0] * 36,
-    }
-    plain = believed()
-    file = replace(plain, antenna=RADIO, model="tabulated", pattern=pattern)
-    return replace(RADIO, pattern_db=tuple(gains)), file
+def with_yagi() -> Antenna:
+    """The radio with a yagi held in front, as it truly is."""
+    return replace(RADIO, pattern_db=tuple(yagi_gain_db()))
+
+
+def calibrate_yagi(folder: Path, seed: int) -> str:
+    """Turn round with the emulated yagi, and calibrate from that as a person does; what the calibration said.
+
+    Leaves readings.csv and antenna.toml in the folder: the mission knows of the yagi what they say.
+    """
+    write_whole(folder / "readings.csv", turned_readings(with_yagi(), seed))
+    how = ("--pattern", "auto", "--missed", "counted")
+    return calibrate(folder / "readings.csv", folder / "antenna.toml", how)
 
 
 def believed() -> AntennaFile:
@@ -103,13 +106,13 @@ def hidden(seed: int) -> tuple[TransientSource, ...]:
 
 @contextmanager
 def demo_walk(
-    folder: Path, kind: str, seed: int, rate: float
+    folder: Path, kind: str, seed: int, rate: float, say: Callable[[str], None] = lambda _: None
 ) -> Iterator[tuple[Mission, Setup, tuple[TransientSource, ...]]]:
     """The mission, its devices on emulated wires, and what is hidden. Raises `ConfigError`."""
     if kind not in KINDS:
         raise ConfigError(f"--walk: expected one of {', '.join(KINDS)}, got {kind!r}")
     style, sources, clock = KINDS[kind], hidden(seed), ScaledClock(rate)
-    radio, file = with_yagi() if kind == "yagi" else (RADIO, believed())
+    radio = with_yagi() if kind == "yagi" else RADIO
     links: list[VehicleLink] = []
 
     def advice() -> tuple[float, float] | None:
@@ -121,7 +124,11 @@ def demo_walk(
         advice, clock=clock, frame=FieldFrame(*ORIGIN_DEG), antenna=radio, sources=sources, size_m=(SIZE_M, SIZE_M),
         start_m=(SIZE_M / 2.0, 10.0), style=style, seed=seed, behind_db=0.0 if kind == "yagi" else BEHIND_DB,
     )  # fmt: skip
-    write_whole(folder / "antenna.toml", dump_antenna(file))
+    if kind == "yagi":
+        say("calibrating the yagi from turns at some distances from a few tags, emulated ...")
+        say(calibrate_yagi(folder, seed).rstrip())
+    else:
+        write_whole(folder / "antenna.toml", dump_antenna(believed()))
     with emulated as walk:
         receiver = {"driver": "xbee", "port": walk.radio_port}
         if style != "xbee":
