@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from mission.core.mission_file import Mission
     from mission.page.serve import LivePage
     from mission.shell.recorder import Follower
+    from mission.shell.runner import Runner
 
 PageOption = Annotated[bool, typer.Option("--page/--no-page", help="Serve the live page.")]
 HostOption = Annotated[
@@ -49,6 +50,23 @@ def shown_page(mission: "Mission", wanted: bool, host: str, port: int) -> "Itera
         if sys.stdin is not None and sys.stdin.isatty():
             say(HELP)
         yield shown
+
+
+def stay_open(shown: "LivePage | None", runner: "Runner") -> None:
+    """Leave the page open until Ctrl-C where something was found: whoever carries the phone wants its coordinates.
+
+    Without a terminal there is nobody to end it, and it closes.
+    """
+    from fieldkit.clock import wall_sleep
+
+    found = any(source.state == "found" for source in runner.kernel.sources())
+    if shown is None or not found or sys.stdin is None or not sys.stdin.isatty():
+        return
+    shown.follower.publish()
+    say(f"the page stays open until Ctrl-C: {shown.page.address}")
+    with suppress(KeyboardInterrupt):
+        while True:
+            wall_sleep(0.5)
 
 
 @contextmanager

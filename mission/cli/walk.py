@@ -14,6 +14,7 @@ from mission.cli.options import (
     run_folder,
     say,
     shown_page,
+    stay_open,
     told_maps,
 )
 
@@ -52,6 +53,12 @@ def walk(
             metavar="URL", help="Tell ATAK and the like: udp://239.2.3.1:6969, tcp://HOST:PORT; repeat."
         ),
     ] = None,
+    background: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PICTURE", help="A map under the page's: an .mbtiles, or a geo-referenced picture."
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this walk.")] = Path("runs"),
     page: PageOption = True,
     page_host: HostOption = "127.0.0.1",
@@ -73,18 +80,17 @@ def walk(
     folder = run_folder(out)
     given = {"--receiver": receiver, "--gnss": gnss, "--antenna": antenna}
     numbers = (size_m, rate_hz, float(sources), within_m)
-    mission = _mission(mission_file, folder, given, numbers, tuple(cot or ()))
+    maps = ("" if background is None else str(background.resolve()), tuple(cot or ()))
+    mission = _mission(mission_file, folder, given, numbers, maps)
     setup = setups.live(mission)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     warm_up(mission)
     say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
-    with (
-        shown_page(mission, page, page_host, page_port) as shown,
-        told_maps(mission) as others,
-        Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
-    ):
-        runner = fly(mission, setup, folder / "mission.mcap", watch.show, page=shown, others=others)
-    print_flown(runner, folder, as_json=as_json)
+    with shown_page(mission, page, page_host, page_port) as shown:
+        with told_maps(mission) as others, Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
+            runner = fly(mission, setup, folder / "mission.mcap", watch.show, page=shown, others=others)
+        print_flown(runner, folder, as_json=as_json)
+        stay_open(shown, runner)
 
 
 def _mission(
@@ -92,11 +98,12 @@ def _mission(
     folder: Path,
     given: dict[str, Any],
     numbers: tuple[float, float, float, float],
-    cot: tuple[str, ...],
+    maps: tuple[str, tuple[str, ...]],
 ) -> "Mission":
     """The mission of a file, or of what the options say. Raises `ConfigError`, `DeviceError`."""
     from fieldkit.errors import ConfigError
     from mission.core.mission_file import read_mission
+    from mission.page.background import read_background
 
     if mission_file is None:
         missing = [name for name, value in given.items() if not value]
@@ -105,10 +112,13 @@ def _mission(
                 f"expected a mission file, or --receiver, --gnss and --antenna; missing: {', '.join(missing)}. "
                 "'fieldkit demo --walk lora' shows a walk without any device"
             )
-        mission_file = _written(folder, given, numbers, cot)
-    elif cot:
-        raise ConfigError(f"--cot: the mission file says whom it tells: [maps] cot = {list(cot)}")
+        mission_file = _written(folder, given, numbers, maps)
+    elif maps[1]:
+        raise ConfigError(f"--cot: the mission file says whom it tells: [maps] cot = {list(maps[1])}")
+    elif maps[0]:
+        raise ConfigError(f"--background: the mission file names it: [field] background = {maps[0]!r}")
     mission = read_mission(mission_file)
+    read_background(mission)  # before the walk: a map of elsewhere is of no use in the field
     if not mission.safety.on_foot:
         raise ConfigError(
             f'{mission_file}: robot: nobody walks; give a robot vehicle = {{ driver = "person", address = "page" }}'
@@ -117,7 +127,10 @@ def _mission(
 
 
 def _written(
-    folder: Path, given: dict[str, Any], numbers: tuple[float, float, float, float], cot: tuple[str, ...]
+    folder: Path,
+    given: dict[str, Any],
+    numbers: tuple[float, float, float, float],
+    maps: tuple[str, tuple[str, ...]],
 ) -> Path:
     """A mission file in the walk's folder, its field round the first position. Raises `ConfigError`, `DeviceError`."""
     import asyncio
@@ -149,7 +162,8 @@ def _written(
             rate_hz,
             expected,
             within_m,
-            cot=cot,
+            background=maps[0],
+            cot=maps[1],
         )
     )
     write_whole(folder / "mission.toml", text)

@@ -34,6 +34,8 @@ class WalkOptions:
     """Of the mission's clock: limits of the steering loop are of wall time."""
     cot: tuple[str, ...] = ()
     """Whom it tells by Cursor on Target."""
+    background: str = ""
+    """A map under the page's, as the mission file will find it."""
 
 
 def walk_text(options: WalkOptions) -> str:
@@ -52,6 +54,7 @@ def walk_text(options: WalkOptions) -> str:
                 "size_east_m": o.size_m,
                 "size_north_m": o.size_m,
                 "cell_m": cell_m,
+                **({"background": o.background} if o.background else {}),
             },
             "antenna": {"file": o.antenna},
             "sources": {"rate_hz": o.rate_hz, "expected": o.expected},

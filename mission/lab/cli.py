@@ -15,6 +15,7 @@ from mission.cli.options import (
     run_folder,
     say,
     shown_page,
+    stay_open,
 )
 
 
@@ -89,23 +90,23 @@ def _small_demo(
     with made as (mission, setup, truth):
         say("preparing the engine (compiled once on a new machine, up to a minute) ...")
         warm_up(mission)
-        with (
-            shown_page(mission, *shown) as page,
-            Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
-        ):
-            runner = fly(
-                mission,
-                setup,
-                folder / "mission.mcap",
-                watch.show,
-                truth=truth,
-                extra={"demo": True},
-                page=page,
-            )
-    print_flown(runner, folder, as_json=as_json)
-    if not as_json:
-        places = ", ".join(f"{s.east_m:.1f} m east, {s.north_m:.1f} m north" for s in truth)
-        typer.echo(f"it was hidden at {places}")
+        with shown_page(mission, *shown) as page:
+            with Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
+                runner = fly(
+                    mission,
+                    setup,
+                    folder / "mission.mcap",
+                    watch.show,
+                    truth=truth,
+                    extra={"demo": True},
+                    page=page,
+                )
+            print_flown(runner, folder, as_json=as_json)
+            if as_json:
+                return
+            places = ", ".join(f"{s.east_m:.1f} m east, {s.north_m:.1f} m north" for s in truth)
+            typer.echo(f"it was hidden at {places}")
+            stay_open(page, runner)
 
 
 def bench(

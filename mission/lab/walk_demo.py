@@ -106,7 +106,13 @@ def hidden(seed: int) -> tuple[TransientSource, ...]:
 
 @contextmanager
 def demo_walk(
-    folder: Path, kind: str, seed: int, rate: float, say: Callable[[str], None] = lambda _: None
+    folder: Path,
+    kind: str,
+    seed: int,
+    rate: float,
+    say: Callable[[str], None] = lambda _: None,
+    *,
+    background: str = "",
 ) -> Iterator[tuple[Mission, Setup, tuple[TransientSource, ...]]]:
     """The mission, its devices on emulated wires, and what is hidden. Raises `ConfigError`."""
     if kind not in KINDS:
@@ -136,7 +142,7 @@ def demo_walk(
         text = walk_text(
             WalkOptions(
                 receiver, walk.gnss_port, "antenna.toml", ORIGIN_DEG, SIZE_M, RATE_HZ,
-                seed=seed, name=f"walk-{kind}", person=PERSON, rate=rate,
+                seed=seed, name=f"walk-{kind}", person=PERSON, rate=rate, background=background,
             )
         )  # fmt: skip
         write_whole(folder / "mission.toml", text)
