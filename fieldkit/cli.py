@@ -1,6 +1,7 @@
 """The `fieldkit` command: every subcommand is found by entry point, so that a user's package can add one."""
 
 import logging
+import os
 import sys
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -82,3 +83,31 @@ def main() -> None:
     except KeyboardInterrupt:
         typer.echo("fieldkit: interrupted", err=True)
         sys.exit(130)
+    except BrokenPipeError:  # whoever read our output has enough of it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
+    except OSError as error:
+        named = f"{error.filename}: " if error.filename else ""
+        typer.echo(f"fieldkit: {named}{error.strerror or error}", err=True)
+        sys.exit(2)
+    except Exception as error:
+        typer.echo(f"fieldkit: {_unforeseen(error)}", err=True)
+        sys.exit(70)
+
+
+def _unforeseen(error: Exception) -> str:
+    """What a person is told of an error of ours; whoever can mend it finds the rest in a file."""
+    import tempfile
+    import traceback
+
+    told = f"an error of fieldkit's own: {type(error).__name__}: {error}"
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="fieldkit-error-", suffix=".txt", delete=False, encoding="utf-8"
+        ) as file:
+            file.write(
+                f"fieldkit {__version__}, {sys.version}\n{' '.join(sys.argv)}\n\n{traceback.format_exc()}"
+            )
+    except OSError:
+        return f"{told}\n{traceback.format_exc()}"
+    return f"{told}; please report it with {file.name}"

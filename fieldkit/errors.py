@@ -6,6 +6,7 @@ FieldkitError
  |    +-- RecordingError                a recording is damaged, from a newer schema, or not one
  |    +-- ReplayMismatch                replaying gave another result than was recorded
  +-- CalibrationRefused (ValueError)    the data cannot carry the calibration asked of it
+ +-- NotWritten (OSError)               a file cannot be written where it was asked for
  +-- DeviceError (OSError)              a radio, vehicle or camera
       +-- DeviceTimeout (TimeoutError)  it did not answer in time
       +-- VehicleRefused                it answered no
@@ -13,6 +14,9 @@ FieldkitError
 A message names the thing, what was expected, what came, and what to try. Commands print it and exit with code 2
 (`ReplayMismatch`: 1).
 """
+
+import errno
+from typing import ClassVar
 
 
 class FieldkitError(Exception):
@@ -41,6 +45,26 @@ class ReplayMismatch(DataError):
 
 class CalibrationRefused(FieldkitError, ValueError):
     """The data cannot carry the calibration asked of it; says why and what to collect."""
+
+
+class NotWritten(FieldkitError, OSError):
+    """A file cannot be written: names it, why, and what to do."""
+
+    REMEDIES: ClassVar = {
+        errno.ENOSPC: "make room, or write to another disk",
+        errno.EDQUOT: "make room, or write to another disk",
+        errno.EACCES: "write to a folder of yours",
+        errno.EPERM: "write to a folder of yours",
+        errno.EROFS: "this disk is read-only: write to another",
+        errno.EISDIR: "it is a folder: name a file in it",
+        errno.ENOTDIR: "a part of that path is a file: name another",
+        errno.ENAMETOOLONG: "give it a shorter name",
+    }
+
+    def __init__(self, path: object, error: OSError) -> None:
+        why = error.strerror or str(error)
+        remedy = self.REMEDIES.get(error.errno or 0, "write to another folder")
+        super().__init__(f"{path}: cannot be written ({why.lower()}); {remedy}")
 
 
 class DeviceError(FieldkitError, OSError):
