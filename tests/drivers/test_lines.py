@@ -4,11 +4,9 @@ import asyncio
 import json
 import os
 import sqlite3
-import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 
+from drivers.emulators.kismet import EmulatedKismet
 from drivers.emulators.printer import STYLES, PrintingRadio
 from drivers.emulators.wires import PluggedModule, PtyWire
 from drivers.lines.mapping import Heard, LineMap, NoReadingError
@@ -298,47 +297,21 @@ async def test_no_broker_is_an_error_that_names_the_address(unused_tcp_port: int
 
 
 async def test_kismet_gives_a_line_for_each_device_heard_again() -> None:
-    packets = {"count": 3}
-
-    class Server(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            asked = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-            names = {name for _, name in asked["fields"]}
-            assert names == {"mac", "channel", "time", "packets", "signal"}
-            device = {
-                "mac": "5C:31:3E:A1:B2:C3",
-                "channel": "6",
-                "time": 5,
-                "packets": packets["count"],
-                "signal": -61,
-            }
-            answer = json.dumps([device, {"mac": "x", "packets": 1, "signal": 0}]).encode()
-            self.send_response(200 if self.headers.get("Cookie") == "KISMET=secret" else 401)
-            self.end_headers()
-            self.wfile.write(answer)
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = HTTPServer(("127.0.0.1", 0), Server)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    try:
-        async with receiving(
-            port=f"kismet://127.0.0.1:{server.server_port}?key=secret", map="kismet"
-        ) as seen:
+    mac = "5C:31:3E:A1:B2:C3"
+    with EmulatedKismet() as kismet:
+        kismet.hear(mac, -61.0)
+        kismet.hear("00:00:00:00:00:01", 0.0)  # 0: a device without a level
+        async with receiving(port=kismet.port, map="kismet") as seen:
             await asyncio.sleep(1.2)
             assert not seen.readings  # known already when we came
-            packets["count"] += 1
+            kismet.hear(mac, -61.0)
             await seen.until(lambda s: len(s.readings) == 1)
+        assert not kismet.refused
         with pytest.raises(DeviceError, match="answers 401; give an API key"):
-            async with receiving(port=f"kismet://127.0.0.1:{server.server_port}", map="kismet"):
+            async with receiving(port=kismet.port.partition("?")[0], map="kismet"):
                 pass
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
-    assert (seen.readings[0].frame_id, seen.readings[0].channel) == ("5C:31:3E:A1:B2:C3", 6)
+        assert kismet.refused == 1
+    assert (seen.readings[0].frame_id, seen.readings[0].channel) == (mac, 6)
 
 
 async def test_a_kismet_database_gives_a_line_for_each_packet(tmp_path: Path) -> None:
