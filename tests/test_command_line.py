@@ -9,8 +9,12 @@ from pathlib import Path
 import pytest
 
 from fieldkit import cli
+from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.errors import NotWritten
 from fieldkit.files import write_whole
+from fieldkit.recording.reader import open_recording
+from fieldkit.recording.writer import RecordingWriter
 
 
 def run(*arguments: object, **more: object) -> subprocess.CompletedProcess[str]:
@@ -92,3 +96,28 @@ def test_a_reader_that_has_enough_is_no_error() -> None:
     listing.stderr.close()
     listing.wait(timeout=60)
     assert b"Traceback" not in said and b"Exception" not in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["check", "."], "is a folder; name the mission file in it"),
+        (["check", "antenna.toml"], "is an antenna file; name the mission file that uses it"),
+        (["check", "noise.bin"], "is no text in UTF-8"),
+        (["report", "."], "no such recording"),
+        (["log", "info", "noise.bin"], "is not an MCAP recording"),
+    ],
+)
+def test_a_file_of_another_kind_is_told_from_the_one_that_was_meant(
+    arguments: list[str], expected: str, tmp_path: Path
+) -> None:
+    (tmp_path / "antenna.toml").write_text(dump_antenna(AntennaFile(Antenna(2.5, -62.0, 3.0, -90.0))))
+    (tmp_path / "noise.bin").write_bytes(bytes(range(256)))
+    done = run(*arguments, cwd=tmp_path)
+    assert done.returncode == 2 and expected in done.stderr and "Traceback" not in done.stderr, done.stderr
+
+
+def test_the_folder_of_a_run_stands_for_its_recording(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "mission.mcap") as writer:
+        writer.note("info", "here")
+    assert open_recording(tmp_path).path == tmp_path / "mission.mcap"

@@ -236,13 +236,21 @@ class Recording:
             ) from error
 
 
+IN_A_RUN = "mission.mcap"
+"""The recording in the folder of a run."""
+
+
 def open_recording(path: Path | str) -> Recording:
-    """Open a recording. A cut or damaged one is opened too: it says what is missing and warns once.
+    """Open a recording, or the one in the folder of a run.
+
+    A cut or damaged one is opened too: it says what is missing and warns once.
 
     Raises `RecordingError` where the file is missing, empty, not a recording, from a newer schema, or cut
     before its first chunk was on disk.
     """
     path = Path(path)
+    if path.is_dir() and (path / IN_A_RUN).is_file():
+        path = path / IN_A_RUN
     if not path.is_file():
         raise RecordingError(f"{path}: no such recording; name the mission.mcap in a folder under runs/")
     header = _header(path)

@@ -252,7 +252,7 @@ def report(
     """
     from mission.analysis.report import write_report
 
-    target = out or log.with_name("report.html")
+    target = out or (log / "report.html" if log.is_dir() else log.with_name("report.html"))
     summary = write_report(log, target)
     if as_json:
         print_json(summary | {"report": str(target)})

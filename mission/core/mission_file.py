@@ -76,8 +76,12 @@ def read_mission(path: Path | str) -> Mission:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; 'fieldkit new {path}' writes one to start from") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    except IsADirectoryError:
+        raise ConfigError(f"{path}: is a folder; name the mission file in it") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is no text in UTF-8 ({error}); name a mission file") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     file = parse_mission(text.removeprefix("\ufeff"), str(path))
     antenna_path = path.parent / file.antenna.file
     antenna = read_antenna(
@@ -94,6 +98,8 @@ def parse_mission(text: str, where: str) -> MissionFile:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{where}: not valid TOML: {error}") from error
+    if "parameters" in raw and "field" not in raw:
+        raise ConfigError(f"{where}: is an antenna file; name the mission file that uses it")
     schema = raw.get("schema")
     if isinstance(schema, int) and not isinstance(schema, bool) and schema > SCHEMA:
         raise ConfigError(
