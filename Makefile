@@ -9,7 +9,7 @@ BENCH  ?= all
 FLOOR      ?= 86
 CORE_FLOOR ?= 96
 
-.PHONY: demo test bench lint docs wheel env clean
+.PHONY: demo test bench lint docs screenshots wheel env clean
 
 env: $(VENV)/.installed
 
@@ -41,6 +41,10 @@ test: lint
 # The manual, offline, with warnings as errors; 'fieldkit docs' opens it.
 docs: $(VENV)/.installed-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir fieldkit/_manual
+
+# The manual's pictures of the page, from an emulated walk; needs chromium.
+screenshots: $(VENV)/.installed-dev
+	$(BIN)/python docs/screenshots.py
 
 # A wheel that carries the manual.
 wheel: docs

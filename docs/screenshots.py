@@ -1,0 +1,111 @@
+"""Make the manual's pictures of the page from an emulated walk: make screenshots
+
+Needs chromium and the development packages. One transmitter is hidden, a person walks to it by advice with a LoRa
+module, over a drawn picture of the ground; the pictures go to docs/pictures.
+"""
+
+import shutil
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw
+from playwright.sync_api import sync_playwright
+
+from fieldkit.geo import FieldFrame
+from mission.lab.walk_demo import ORIGIN_DEG, SIZE_M, demo_walk
+from mission.page import serve
+from mission.shell.flight import fly
+from mission.shell.warm_up import warm_up
+
+OUT = Path(__file__).with_name("pictures")
+PHONE: dict[str, Any] = {
+    "viewport": {"width": 390, "height": 844},
+    "has_touch": True,
+    "is_mobile": True,
+    "color_scheme": "light",
+}
+DESK: dict[str, Any] = {"viewport": {"width": 1440, "height": 900}, "color_scheme": "light"}
+SEED = 7
+RATE = 20.0
+HEARD_MID_WALK = "7"
+LONGEST_MS = 300_000
+PIXEL_M = 0.5
+FIELDS = ((201, 214, 168), (188, 205, 150), (222, 214, 172), (176, 198, 143))
+
+
+def draw_ground(folder: Path) -> str:
+    """A made-up aerial picture of the field with its world file; the name for `background`."""
+    rng = np.random.default_rng(SEED)
+    side = round(1.4 * SIZE_M / PIXEL_M)
+    picture = Image.new("RGB", (side, side), FIELDS[0])
+    pen = ImageDraw.Draw(picture)
+    for k, east in enumerate(range(0, side, 190)):
+        for j, north in enumerate(range(-60 * (k % 2), side, 260)):
+            pen.rectangle((east, north, east + 186, north + 256), fill=FIELDS[(k + 2 * j) % len(FIELDS)])
+    bends = [(x, 0.62 * side + 40.0 * np.sin(x / 130.0)) for x in range(-20, side + 40, 20)]
+    pen.line(bends, fill=(120, 160, 200), width=14, joint="curve")
+    pen.line([(0.3 * side, 0), (0.42 * side, side)], fill=(235, 232, 225), width=10)
+    for x, y in rng.normal((0.72 * side, 0.3 * side), 0.09 * side, (260, 2)):
+        pen.ellipse((x - 7, y - 7, x + 7, y + 7), fill=(104, 140, 92), outline=(86, 122, 78))
+    picture.save(folder / "ground.png")
+    frame = FieldFrame(*ORIGIN_DEG)
+    north_deg, west_deg, _ = frame.to_geodetic(-0.2 * SIZE_M, 1.2 * SIZE_M)
+    south_deg, east_deg, _ = frame.to_geodetic(1.2 * SIZE_M, -0.2 * SIZE_M)
+    across, down = (east_deg - west_deg) / side, (south_deg - north_deg) / side
+    numbers = (across, 0.0, 0.0, down, west_deg + across / 2, north_deg + down / 2)
+    (folder / "ground.pgw").write_text("".join(f"{number:.12f}\n" for number in numbers))
+    return "ground.png"
+
+
+def photograph(address: str, went_wrong: list[BaseException]) -> None:
+    """Look at the walk as it goes on, and at what it has found."""
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    try:
+        with sync_playwright() as driver:
+            browser = driver.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+            phone, desk = (browser.new_context(**look).new_page() for look in (PHONE, DESK))
+            for tab in (phone, desk):
+                tab.set_default_timeout(LONGEST_MS)
+                tab.goto(address)
+            phone.wait_for_function(
+                f"""() => Number(document.getElementById("detections").textContent) >= {HEARD_MID_WALK}
+                  && document.getElementById("walk-arrow").style.opacity === "1" """
+            )
+            phone.screenshot(path=OUT / "walk-phone.png")
+            desk.screenshot(path=OUT / "walk-map.png")
+            phone.wait_for_function("() => document.getElementById('walk-go').textContent.includes('is over')")
+            phone.locator("#walk-found button").tap()
+            phone.wait_for_selector("#where button[data-form=mgrs]")
+            phone.wait_for_timeout(500)
+            phone.screenshot(path=OUT / "walk-found.png")
+            browser.close()
+    except BaseException as error:
+        went_wrong.append(error)
+
+
+def main() -> None:
+    OUT.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="fieldkit-") as made:
+        folder = Path(made)
+        with demo_walk(folder, "lora", SEED, RATE, background=draw_ground(folder)) as (mission, setup, truth):
+            warm_up(mission)
+            with serve.live(mission) as shown:
+                went_wrong: list[BaseException] = []
+                looking = threading.Thread(target=photograph, args=(shown.page.command_address, went_wrong))
+                looking.start()
+                fly(mission, setup, folder / "mission.mcap", lambda _: None, truth=truth, page=shown)
+                shown.follower.publish()
+                looking.join()
+    if went_wrong:
+        raise went_wrong[0]
+    for path in OUT.glob("walk-*.png"):  # a third of the size, and nobody sees it
+        with Image.open(path) as shot:
+            shot.convert("RGB").quantize(256).save(path, optimize=True)
+    print(f"written: {OUT}/{{walk-phone, walk-map, walk-found}}.png")
+
+
+if __name__ == "__main__":
+    main()
