@@ -76,7 +76,9 @@ def photograph(address: str, went_wrong: list[BaseException]) -> None:
             )
             phone.screenshot(path=OUT / "walk-phone.png")
             desk.screenshot(path=OUT / "walk-map.png")
-            phone.wait_for_function("() => document.getElementById('walk-go').textContent.includes('is over')")
+            phone.wait_for_function(
+                "() => document.getElementById('walk-go').textContent.includes('is over')"
+            )
             phone.locator("#walk-found button").tap()
             phone.wait_for_selector("#where button[data-form=mgrs]")
             phone.wait_for_timeout(500)
