@@ -89,13 +89,13 @@ def is_whole(path: Path) -> bool:
     with path.open("rb") as stream:
         try:
             stream.seek(size - MAGIC_SIZE - _FOOTER_SIZE)
-            footer = _read(stream, Opcode.FOOTER, Footer.read)
+            footer = _read(stream, Opcode.FOOTER, _FOOTER_SIZE, Footer.read)
             if stream.read() != MCAP0_MAGIC or not _DATA_END_SIZE < footer.summary_start < size:
                 return False
             stream.seek(footer.summary_start)
             summary = stream.read(size - MAGIC_SIZE - 4 - footer.summary_start)
             stream.seek(footer.summary_start - _DATA_END_SIZE)
-            end = _read(stream, Opcode.DATA_END, DataEnd.read)
+            end = _read(stream, Opcode.DATA_END, _DATA_END_SIZE, DataEnd.read)
         except _DAMAGE:
             return False
         data_crc = _crc_of(stream, footer.summary_start - _DATA_END_SIZE)
@@ -295,10 +295,11 @@ def _keep_attachment(body: bytes, contents: Contents) -> None:
             contents.channels.setdefault(number, Channel(number, topic, "json", {}, 0))
 
 
-def _read(stream: BinaryIO, opcode: Opcode, parse: Callable[[ReadDataStream], T]) -> T:
+def _read(stream: BinaryIO, opcode: Opcode, size: int, parse: Callable[[ReadDataStream], T]) -> T:
+    """A record of known size. No CRC covers the size that stands in the record of the data's end."""
     found, length = _HEAD.unpack(stream.read(_HEAD.size))
-    if found != opcode or length > 64:
-        raise ValueError(f"expected record {opcode}, found {found}")
+    if found != opcode or length != size - _HEAD.size:
+        raise ValueError(f"expected record {opcode} of {size} bytes, found {found} of {_HEAD.size + length}")
     return parse(ReadDataStream(BytesIO(stream.read(length))))
 
 

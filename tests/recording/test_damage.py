@@ -77,6 +77,16 @@ def test_flipped_bits_never_give_a_wrong_value_without_a_warning(tmp_path):
     assert usable > 150
 
 
+@pytest.mark.parametrize("bit", range(64))
+def test_a_flipped_bit_in_the_length_of_the_record_that_no_crc_covers_is_noticed(tmp_path, bit):
+    path = record(tmp_path / "m.mcap", seconds=1)
+    data = bytearray(path.read_bytes())
+    data_end = data.rindex(b"\x0f\x04" + bytes(7))  # opcode and length of the record that ends the data
+    data[data_end + 1 + bit // 8] ^= 1 << bit % 8
+    path.write_bytes(data)
+    assert open_recording(path).missing
+
+
 def test_data_after_a_damaged_chunk_is_still_read(tmp_path):
     path = record(tmp_path / "m.mcap", seconds=3)
     data = bytearray(path.read_bytes())
