@@ -4,7 +4,6 @@
 that from every source is false.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,11 +21,11 @@ from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
 from mission.lab.simulate import Truth, simulate
 from mission.lab.study.packets import ROBOTS_APART_M
-from mission.lab.study.pool import Progress, run_trials
+from mission.lab.study.pool import Progress
+from mission.lab.study.scenarios import FOUND_WITHIN_M, Sometimes, run_scenarios
 from mission.lab.study.trust import CELL_M, EXPONENT, FIELD_M, LEVELS_DB, RATE_HZ, THRESHOLD_DBM
 
 TIME_DB = 2.0
-FOUND_WITHIN_M = 1.0
 CAP_S = 2500.0
 
 
@@ -137,19 +136,6 @@ def trial(job: Job) -> dict[str, Any]:
     }
 
 
-class Sometimes:
-    """Looks every few simulated seconds; the commands pass through unchanged."""
-
-    def __init__(self, watch: Callable[[Kernel, Any, Any], Any]) -> None:
-        self._watch, self._next_ns = watch, 0
-
-    def __call__(self, kernel: Kernel, event: Any, outcome: Any) -> Any:
-        if event.t_ns >= self._next_ns:
-            self._next_ns = event.t_ns + 10_000_000_000
-            return self._watch(kernel, event, outcome)
-        return outcome.commands
-
-
 def near(source: TransientSource, found: list[SourceEstimate]) -> bool:
     """Whether a find lies at the source."""
     return any(
@@ -182,15 +168,6 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def run(trials: int, seed: int, progress: Progress, *, only: str = "", **how: Any) -> dict[str, Any]:
     """All scenarios, `trials` each from `seed` on; `only` keeps those whose name contains it."""
-    wanted = [each for each in SCENARIOS if only in each.name]
-    jobs = [Job(scenario, seed + k) for scenario in wanted for k in range(trials)]
-    rows = run_trials(trial, jobs, progress, **how)
-    grouped: dict[str, list[dict[str, Any]]] = {}
-    for job, row in zip(jobs, rows, strict=True):
-        grouped.setdefault(job.scenario.name, []).append(row)
-    return {
-        "study": "shadowing",
-        "trials": trials,
-        "seed": seed,
-        "scenarios": {name: summarise(group) for name, group in grouped.items()},
-    }
+    return run_scenarios(
+        "shadowing", SCENARIOS, Job, trial, summarise, trials, seed, progress, only=only, **how
+    )

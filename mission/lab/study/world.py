@@ -21,8 +21,8 @@ from fieldkit.world.walls import random_walls
 from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
 from mission.lab.simulate import Truth, simulate
-from mission.lab.study.pool import Progress, run_trials
-from mission.lab.study.shadowing import FOUND_WITHIN_M, Sometimes
+from mission.lab.study.pool import Progress
+from mission.lab.study.scenarios import FOUND_WITHIN_M, Sometimes, run_scenarios
 from mission.lab.study.trust import CELL_M, FIELD_M, LEVELS_DB, RATE_HZ, antenna, settings
 
 CAP_S = 1500.0
@@ -213,15 +213,6 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def run(missions: int, seed: int, progress: Progress, *, only: str = "", **how: Any) -> dict[str, Any]:
     """All scenarios, `missions` each from `seed` on; `only` keeps those whose name contains it."""
-    wanted = [each for each in SCENARIOS if only in each.name]
-    jobs = [Job(scenario, seed + k) for scenario in wanted for k in range(missions)]
-    rows = run_trials(trial, jobs, progress, **how)
-    grouped: dict[str, list[dict[str, Any]]] = {}
-    for job, row in zip(jobs, rows, strict=True):
-        grouped.setdefault(job.scenario.name, []).append(row)
-    return {
-        "study": "world",
-        "trials": missions,
-        "seed": seed,
-        "scenarios": {name: summarise(group) for name, group in grouped.items()},
-    }
+    return run_scenarios(
+        "world", SCENARIOS, Job, trial, summarise, missions, seed, progress, only=only, **how
+    )
