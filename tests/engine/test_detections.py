@@ -105,7 +105,7 @@ def test_position_is_interpolated_to_the_reception_and_heading_across_north() ->
     track = PoseTrack(S)
     track.add(Pose(0, "a", 0, 0, heading_deg=359.0))
     track.add(Pose(S, "a", 0, 0, heading_deg=3.0))
-    assert track.at(S // 2) is not None and abs(track.at(S // 2)[2] - 1.0) < 1e-9
+    assert (place := track.place_at(S // 2)) is not None and abs(place[2] - 1.0) < 1e-9
 
 
 def test_a_reading_without_a_pose_makes_no_detection() -> None:
@@ -144,7 +144,7 @@ def test_poses_out_of_order_or_repeated_change_nothing() -> None:
     track = PoseTrack(S)
     for t, east in ((0, 0.0), (S, 1.0), (S // 2, 99.0), (S, 99.0)):
         track.add(Pose(t, "a", east, 0.0))
-    assert track.at(S // 2) == (0.5, 0.0, 0.0)
+    assert (place := track.place_at(S // 2)) is not None and place[:3] == (0.5, 0.0, 0.0)
 
 
 def test_listening_covers_time_once_without_gaps() -> None:

@@ -25,7 +25,7 @@ comes again with the sender's next packet: such ids may keep receptions apart bu
 NUMBERED_REACH_NS = 500_000_000
 """How far apart in time receptions of one numbered frame may be: far under the 256 frames after which numbers recur."""
 FLAT_ORIGINS = ("camera", "file")
-"""Sources of positions that may tell no height; then it is nought."""
+"""Sources of positions that may have no height; then it is nought."""
 CLOCK_OFF_WINDOWS = 3
 """A reception up to so many windows away may belong to the same transmission, heard by a clock that is off."""
 
@@ -59,11 +59,6 @@ class PoseTrack:
         self.poses.append(pose)
         if len(self.t_ns) > 64 and self.t_ns[32] < pose.t_ns - _KEEP_NS:
             del self.t_ns[:32], self.poses[:32]
-
-    def at(self, t_ns: int) -> tuple[float, float, float] | None:
-        """East, north, heading at `t_ns`; None as of `place_at`."""
-        place = self.place_at(t_ns)
-        return None if place is None else place[:3]
 
     def place_at(self, t_ns: int) -> Place | None:
         """East, north, heading, height and deviation at `t_ns`; None where no pose is near enough to say.
@@ -128,7 +123,7 @@ class Associator:
         """`flying`: robots that leave the ground. Of them positions without a height are no positions."""
         self.robots = robots
         self.without_height: dict[str, str] = {}
-        """Robots that fly though their positions tell no height, and where those come from."""
+        """Robots that fly though their positions have no height, and where those come from."""
         self._flying = flying
         self.late_readings = 0
         """Readings that came after their time had been closed; they are dropped and counted."""
