@@ -44,7 +44,7 @@ def run(
 ) -> dict[str, Any]:
     """Bias of each parameter and how often its 95 % interval holds the truth, for each of `CONDITIONS`.
 
-    `progress` is told the share done and a few words. `within_limits`: whether what is promised is kept;
+    `progress` is given the share done and a few words. `within_limits`: whether what is promised is kept;
     with 200 trials coverage varies by 3 % by chance, which `within_limits_but_for_chance` allows for.
     """
     report: dict[str, Any] = {"trials": trials, "seed": seed, "chance_of_coverage": _chance(trials)}

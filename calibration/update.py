@@ -239,6 +239,6 @@ def _lines(
             value, error = float(values[k]), float(np.sqrt(matrix[k, k]))
             if k == 2:
                 value, error = float(np.exp(value)), float(np.exp(value)) * error
-            cells.append(f"{value:8.2f} +-{TWO_SIDED_95 * error:5.2f}" if has else f"{'not told':>16}")
+            cells.append(f"{value:8.2f} +-{TWO_SIDED_95 * error:5.2f}" if has else f"{'not given':>16}")
         rows.append(f"{name:20}{''.join(f'{cell:>18}' for cell in cells)}")
     return (f"{'':20}{'before':>18}{'by these alone':>18}{'after':>18}", *rows)

@@ -68,7 +68,7 @@ def ports() -> list[Found]:
 
 
 def ask(port: str, baud: int) -> Found:
-    """Open a port, as an XBee and then as a sniffer dongle, and tell what it is; errors are told, not raised."""
+    """Open a port, as an XBee and then as a sniffer dongle, and say what it is; no error is raised."""
     return asyncio.run(_ask(port, baud))
 
 
@@ -87,8 +87,8 @@ async def _ask(port: str, baud: int) -> Found:
     reason = why_it_cannot_hear(settings)
     what = f"{settings.describe()}: " + (f"not usable as it is: {reason}; {hears}" if reason else hears)
     values = {"AP": settings.api_mode} | settings.values
-    told = {name: f"{value:X}" for name, value in values.items() if value is not None}
-    return Found(port, what, advice(settings), told)
+    shown = {name: f"{value:X}" for name, value in values.items() if value is not None}
+    return Found(port, what, advice(settings), shown)
 
 
 async def _ask_sniffers(port: str, around: DriverContext) -> Found | None:

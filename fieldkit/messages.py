@@ -270,7 +270,7 @@ class SourceEstimate:
     state: SourceState
     note: str = ""
     name: str = ""
-    """The sender's address, where sources are told by it."""
+    """The sender's address, where sources are identified by it."""
     power_db: float = float("nan")
     """Posterior mean of the source's power level, relative to the calibrated transmitter."""
     last_heard_ns: int = 0

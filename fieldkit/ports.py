@@ -22,7 +22,7 @@ class DriverContext:
     clock: Clock
     frame: FieldFrame
     tap: Callable[[str, bytes], None] | None = None
-    """Told the name of a radio's link and what came over it, in whatever thread read it; None: nobody records it."""
+    """Called in the thread that reads, with a radio link's name and what came over it; None: nobody records it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Traits:
     """Its own way-point radius."""
     turn_radius_m: float | None = None
     speed_m_s: float | None = None
-    """What it drives at where nobody tells it."""
+    """What it drives at where nobody orders it."""
     return_m_s: float | None = None
     """On its own way home."""
     return_up_m: float | None = None

@@ -67,7 +67,7 @@ PLANNING_PERIOD_S = Quantity(20.0, 1.0, 3_600.0, "s", "time between plans")
 POSE_SIGMA_M = Quantity(0.05, 0.0, 100.0, "m", "standard deviation of each coordinate of robots' positions")
 ARRIVE_M = Quantity(0.15, 0.01, 1_000.0, "m", "a robot so near to its way-point has arrived")
 ARRIVE_SIGMAS = 3.0
-"""A robot is not asked to be nearer to a way-point than its position can tell."""
+"""A robot is not asked to be nearer to a way-point than its position is known."""
 ARRIVE_S = 0.6
 """... nor nearer than it drives in this time: measured on the simulated ArduRover, which rests 0.4 m off at 1 m/s."""
 SEED_MAX = 2**63 - 1
@@ -78,7 +78,7 @@ WINDOW_S = positive(0.1, 60.0, "s", "receptions nearer than this are one transmi
 LATENESS_S = positive(1.0, 600.0, "s", "how late a reception may reach this computer")
 POSE_GAP_S = positive(1.0, 600.0, "s", "longest gap between positions that is interpolated")
 SILENCE_STEP_S = 1.0
-"""Silence is told to the belief in stretches of this length, each heard from the place in its middle."""
+"""Silence is given to the belief in stretches of this length, each heard from the place in its middle."""
 
 # -- the loop ------------------------------------------------------------------------------------------------
 
@@ -109,7 +109,7 @@ FENCE_MARGIN_M = Quantity(
 )
 MARGIN_SIGMAS = 2.0
 """So many standard deviations of the positions are added to every margin."""
-MAX_SPEED_M_S = positive(0.4, 50.0, "m/s", "no robot is told to go faster")
+MAX_SPEED_M_S = positive(0.4, 50.0, "m/s", "no robot is ordered to go faster")
 MAX_TURN_DEG_S = positive(90.0, 1_000.0, "deg/s", "how fast a robot turns")
 MAX_LEG_M = positive(1_000.0, 100_000.0, "m", "no way-point is further away")
 POSE_TIMEOUT_S = Quantity(2.0, 0.2, 60.0, "s", "a position that is older is unknown")
@@ -145,7 +145,7 @@ FLIGHT_ALTITUDE_M = Quantity(
 
 
 def braking_m(max_speed_m_s: float) -> float:
-    """How far a robot rolls on at `max_speed_m_s` after it was told to hold, where it was not measured."""
+    """How far a robot rolls on at `max_speed_m_s` after it was ordered to hold, where it was not measured."""
     return BRAKING_DELAY_S * max_speed_m_s + max_speed_m_s**2 / (2.0 * BRAKING_DECELERATION_M_S2)
 
 

@@ -173,7 +173,7 @@ class PaperBeliefTuning(_Table):
 
 @dataclass(frozen=True, slots=True)
 class InfogainTuning(_Table):
-    """Planner `infogain`: which paths it compares, and what it thinks they are worth."""
+    """Planner `infogain`: which paths it compares, and by which reward."""
 
     horizon_s: float = tuned(45.0, 1.0, 3_600.0, "s", "how far ahead paths are judged", HAND)
     step_s: float = tuned(1.5, 0.1, 60.0, "s", "time between the points of a path that are weighed", MEMORY)

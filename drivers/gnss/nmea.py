@@ -13,7 +13,7 @@ NO_GGA_S = 5.0
 NO_GGA_RMC = 3
 """A receiver without GGA for so long, and in so many RMC, sends none: after a pause RMC may just come first."""
 FRESH_S = 2.0
-"""Speed, course and errors told longer before a fix say nothing of it."""
+"""Speed, course and errors that came longer before a fix say nothing of it."""
 LONGEST_SENTENCE = 120
 """NMEA 0183 allows 82 characters; receivers with extra digits send some more."""
 
@@ -26,7 +26,7 @@ class NmeaReader:
         self.sentences = 0
         self._rest = b""
         self._motion: tuple[float, float | None, float | None] = (-FRESH_S, None, None)
-        """When told, speed, course."""
+        """When it came, speed, course."""
         self._sigma: tuple[float, float | None] = (-FRESH_S, None)
         self._date = ""
         self._void = False

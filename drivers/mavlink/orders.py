@@ -1,4 +1,4 @@
-"""What we have vehicles do: take over, take off, go, hold, return, land; done only when the vehicle itself shows it.
+"""Orders to vehicles: acquire control, take off, go, hold, return, land; done only when the vehicle itself shows it.
 
 Orders wait for nothing of each other: a newer one makes an older one give up at once. A hold is on the wire before
 anything is awaited, and is repeated until the vehicle shows it or another order takes its place.
@@ -37,7 +37,7 @@ HOLD_EVERY_S = 0.25
 """How often a hold goes out again until the vehicle shows it."""
 MODE_WAIT_S = 0.5
 STOPPING_S, STANDS_M_S = 1.0, 0.2
-"""One that stands so long after it was told to, stands."""
+"""One that stands so long after the order to, stands."""
 CLIMB_S, CLIMB_M_S = 20.0, 0.5
 """A take-off may take so long, and longer the higher it goes."""
 HIGH_ENOUGH = 0.9
@@ -138,7 +138,7 @@ class Orders:
                 f"{vehicle.robot}: no heartbeat from system {vehicle.system_id} on {self._address}; is it "
                 "switched on, is its system id right, does it send to this address?"
             )
-        self._still(steered, mine, "take over")
+        self._still(steered, mine, "acquire control")
         refuse_double(vehicle)
         self._beat()  # its failsafe watches for our heartbeat only from the first one on
         if vehicle.firmware is None:
@@ -324,7 +324,7 @@ class Orders:
     # Below
 
     def _newer(self, steered: Steered) -> int:
-        """What this vehicle was told before is off, and whoever waits for it gives up now."""
+        """The order before it is cancelled, and whoever waits for it gives up now."""
         mine = steered.newer_order()
         self._commander.abandon(steered.vehicle)
         self.wake()
@@ -366,7 +366,7 @@ class Orders:
 
 
 def reaches(vehicle: Vehicle, up_m: float) -> bool:
-    """Whether it is about as high as it was told to climb."""
+    """Whether it is about as high as it was ordered to climb."""
     return vehicle.up_m is not None and abs(vehicle.up_m - up_m) <= max(0.5, (1.0 - HIGH_ENOUGH) * up_m)
 
 

@@ -1,7 +1,7 @@
 """ROS 2 recordings (MCAP), through mcap-ros2-support: positions by well-known messages, readings by a map of topics.
 
 Positions are `sensor_msgs/NavSatFix`, or else `nav_msgs/Odometry` or `geometry_msgs/PoseStamped`, whose x is east and y
-north (REP 103). Where several topics tell positions, a robot is named by the first part of its topic: /r1/fix is r1's.
+north (REP 103). Where several topics have positions, a robot is named by the first part of its topic: /r1/fix is r1's.
 """
 
 import math
@@ -25,7 +25,7 @@ _READING = {each.name for each in fields(LineMap)} - {"format", "pattern", "colu
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class BagMessage:
     """One message of a bag."""
 
     topic: str
@@ -54,7 +54,7 @@ def _files(path: Path) -> list[Path]:
     return sorted(path.glob("*.mcap")) if path.is_dir() else [path]
 
 
-def _told(path: Path, wanted: Callable[[str, str], bool], notes: list[str]) -> Iterator[Told]:
+def _messages(path: Path, wanted: Callable[[str, str], bool], notes: list[str]) -> Iterator[BagMessage]:
     """Messages whose (topic, kind) is wanted, as written. A bag that was cut off gives what came before."""
     import struct
 
@@ -77,7 +77,7 @@ def _told(path: Path, wanted: Callable[[str, str], bool], notes: list[str]) -> I
                             f"{file}: {channel.topic}: its schema is no ROS 2 message definition, which alone is read"
                         )
                     message = decode(record.data)
-                    yield Told(channel.topic, kind, _stamp_ns(message) or record.log_time, message)
+                    yield BagMessage(channel.topic, kind, _stamp_ns(message) or record.log_time, message)
             except (McapError, EOFError, ValueError, struct.error, UnicodeDecodeError) as error:
                 notes.append(f"{file.name}: not readable to its end ({error or type(error).__name__})")
 
@@ -91,21 +91,21 @@ def _stamp_ns(message: Any) -> int:
 
 
 def read_bag(path: Path) -> Track:
-    """The positions of a bag. Raises `DataError` where it tells none."""
-    makers: dict[str, Callable[[Told], Spot | None]] = {
+    """The positions of a bag. Raises `DataError` where it has none."""
+    makers: dict[str, Callable[[BagMessage], Spot | None]] = {
         "sensor_msgs/NavSatFix": _of_fix,
         "nav_msgs/Odometry": _of_odometry,
         "geometry_msgs/PoseStamped": _of_pose,
     }
     notes: list[str] = []
     by_topic: dict[tuple[str, str], list[Spot | None]] = {}
-    for told in _told(path, lambda _, kind: kind in makers, notes):
-        spots = by_topic.setdefault((told.kind, told.topic), [])
-        spots.append(makers[told.kind](told))
+    for item in _messages(path, lambda _, kind: kind in makers, notes):
+        spots = by_topic.setdefault((item.kind, item.topic), [])
+        spots.append(makers[item.kind](item))
     kinds = {kind for kind, _ in by_topic}
     chosen = next((kind for kind in makers if kind in kinds), None)
     if chosen is None:
-        raise DataError(f"{path}: no topic tells positions; read are {', '.join(makers)}{_also(notes)}")
+        raise DataError(f"{path}: no topic has positions; read are {', '.join(makers)}{_also(notes)}")
     topics = [topic for kind, topic in by_topic if kind == chosen]
     left_out = [topic for kind, topic in by_topic if kind != chosen]
     if left_out:
@@ -126,14 +126,14 @@ def _also(notes: Sequence[str]) -> str:
     return "".join(f"; {note}" for note in notes)
 
 
-def _of_fix(told: Told) -> Spot | None:
+def _of_fix(item: BagMessage) -> Spot | None:
     """None without a fix. The height, above the ellipsoid, is not the field's: it is left out."""
-    message = told.message
+    message = item.message
     if message.status.status < 0:
         return None
     sigma_m = _sigma_m(message.position_covariance, 0, 4) if message.position_covariance_type else None
     return Spot(
-        told.t_ns,
+        item.t_ns,
         ONLY,
         message.latitude,
         message.longitude,
@@ -141,20 +141,20 @@ def _of_fix(told: Told) -> Spot | None:
     )
 
 
-def _of_odometry(told: Told) -> Spot:
-    sigma_m = _sigma_m(told.message.pose.covariance, 0, 7)
-    return _local(told, told.message.pose.pose, LOCAL_SIGMA_M if sigma_m is None else sigma_m)
+def _of_odometry(item: BagMessage) -> Spot:
+    sigma_m = _sigma_m(item.message.pose.covariance, 0, 7)
+    return _local(item, item.message.pose.pose, LOCAL_SIGMA_M if sigma_m is None else sigma_m)
 
 
-def _of_pose(told: Told) -> Spot:
-    return _local(told, told.message.pose, LOCAL_SIGMA_M)
+def _of_pose(item: BagMessage) -> Spot:
+    return _local(item, item.message.pose, LOCAL_SIGMA_M)
 
 
-def _local(told: Told, pose: Any, sigma_m: float) -> Spot:
+def _local(item: BagMessage, pose: Any, sigma_m: float) -> Spot:
     q, place = pose.orientation, pose.position
     yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
     heading_deg = (90.0 - math.degrees(yaw)) % 360.0
-    return Spot(told.t_ns, ONLY, place.x, place.y, place.z, heading_deg, sigma_m)
+    return Spot(item.t_ns, ONLY, place.x, place.y, place.z, heading_deg, sigma_m)
 
 
 def _sigma_m(covariance: Sequence[float], first: int, second: int) -> float | None:
@@ -202,19 +202,19 @@ def bag_readings(path: Path, robot: str, maps: dict[str, TopicMap], notes: list[
         )
     heard: list[RssReading] = []
     bad: dict[str, tuple[int, str]] = {}
-    for told in _told(path, lambda topic, _: topic in maps, notes):
-        made = maps[told.topic]
+    for item in _messages(path, lambda topic, _: topic in maps, notes):
+        made = maps[item.topic]
         try:
-            said = made.line.read_values(as_dict(told.message))
+            said = made.line.read_values(as_dict(item.message))
         except NoReadingError as error:
-            count, first = bad.get(told.topic, (0, str(error)))
-            bad[told.topic] = count + 1, first
+            count, first = bad.get(item.topic, (0, str(error)))
+            bad[item.topic] = count + 1, first
             continue
         if said is not None:
             # The header's stamp is mission time; a radio's own clock in the message may be years off.
             heard.append(
                 RssReading(
-                    told.t_ns, made.robot or robot, said.rss_dbm, "lines", said.channel, said.frame_id()
+                    item.t_ns, made.robot or robot, said.rss_dbm, "lines", said.channel, said.frame_id()
                 )
             )
     notes += [f"{topic}: {n} messages are no readings; the first {why}" for topic, (n, why) in bad.items()]
@@ -230,7 +230,7 @@ def _topics(path: Path) -> str:
         found[topic] = kind
         return False
 
-    for _ in _told(path, note, []):
+    for _ in _messages(path, note, []):
         pass
     return ", ".join(f"{topic} ({kind})" for topic, kind in sorted(found.items())) or "no messages"
 

@@ -41,7 +41,7 @@ def survey(
     ] = 0.0,
     identity: Annotated[
         Literal["anonymous", "address"], typer.Option(help="address: each sender's name is one source.")
-    ] = "anonymous",
+    ] = given.IDENTITY,
     relative: Annotated[
         bool, typer.Option("--relative", help="Levels are dB against anything, not dBm.")
     ] = False,

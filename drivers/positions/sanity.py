@@ -60,7 +60,7 @@ def _check_axes(spots: Sequence[Spot]) -> None:
 
 
 def _without_repeats(spots: list[Spot], notes: list[str]) -> list[Spot]:
-    """Of several fixes of one moment the first; different ones are told."""
+    """Of several fixes of one moment the first; different ones are reported."""
     kept: list[Spot] = []
     odd = 0
     for spot in spots:

@@ -1,4 +1,4 @@
-"""Why a port does not talk API: a module in transparent mode is told apart from a dead one."""
+"""Why a port does not talk API: distinguishes a module in transparent mode from a dead one."""
 
 import time
 

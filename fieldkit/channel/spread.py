@@ -83,7 +83,7 @@ class ChannelSpread:
 
 
 def assumed(antenna: Antenna, data: dict[str, Any] | None = None) -> ChannelSpread:
-    """The spread of an antenna file that does not tell it: sigma halved between time and place, power unknown."""
+    """The spread of an antenna file that does not give it: sigma halved between time and place, power unknown."""
     data = data or {}
     half = antenna.sigma_db / np.sqrt(2.0)
     time_db = float(data.get("sigma_time_db") or half)
@@ -93,7 +93,7 @@ def assumed(antenna: Antenna, data: dict[str, Any] | None = None) -> ChannelSpre
         max(time_db, 0.3),
         place_db,
         correlation_m,
-        assumed=f"the antenna file tells no place noise: {time_db:.1f} dB in time and {place_db:.1f} dB from place "
+        assumed=f"the antenna file gives no place noise: {time_db:.1f} dB in time and {place_db:.1f} dB from place "
         f"to place over {correlation_m:.0f} m are assumed{_POWER_ASSUMED}",
     )
 

@@ -143,7 +143,9 @@ def merge(
     out: Annotated[Path, typer.Option("--out", "-o", help="The recording to write; must not exist.")],
     offset: Annotated[
         list[str] | None,
-        typer.Option(help="NAME=SECONDS to add to one input's times; default: told by shared receptions."),
+        typer.Option(
+            help="NAME=SECONDS to add to one input's times; default: estimated from shared receptions."
+        ),
     ] = None,
     as_json: _JSON = False,
 ) -> None:

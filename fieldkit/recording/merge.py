@@ -47,7 +47,7 @@ def merge(paths: list[Path], out: Path, *, given_s: dict[str, float] | None = No
 
     Clock offsets come from shared receptions, or from `given_s` by the input's name or path; a position log's clock is
     taken as it is unless given. Raises `DataError` for recordings of different fields, for a robot that is in two of
-    them, and where offsets cannot be told; then nothing is written.
+    them, and where offsets cannot be estimated; then nothing is written.
     """
     recordings = [open_recording(path) for path in paths if path.suffix == ".mcap"]
     tracks = [path for path in paths if path.suffix != ".mcap"]

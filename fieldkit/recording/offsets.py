@@ -1,4 +1,4 @@
-"""How far two recordings' clocks are apart, told by transmissions that both heard.
+"""How far two recordings' clocks are apart, estimated from transmissions that both heard.
 
 Readings that carry a frame's address and sequence number are matched by it. Others are matched by their rhythm:
 packets come at irregular moments, so the right offset makes many of them coincide and a wrong one hardly any.
@@ -39,7 +39,7 @@ class Offset:
 
 
 def estimate_offset(first: list[RssReading], second: list[RssReading]) -> Offset | None:
-    """The offset of `second`'s clock against `first`'s; None where what both heard does not tell for sure."""
+    """The offset of `second`'s clock against `first`'s; None where what both heard does not decide it."""
     return _by_frames(first, second) or _by_rhythm(_times_ns(first), _times_ns(second))
 
 

@@ -87,7 +87,7 @@ class _Copy:
         self.problems: list[str] = []
 
     def take(self, path: Path, named: bool) -> None:
-        """Everything intact of one file. `named`: problems are told with the file's name."""
+        """Everything intact of one file. `named`: problems are reported with the file's name."""
         contents = Contents()
         for channel, message in walk(path, contents):
             if self._header is None:

@@ -49,8 +49,8 @@ def place_at(
     angle = np.random.default_rng([seed, 5, number]).uniform(0.0, 2.0 * np.pi)
     way_m = what.walk_m_s * t_s + (what.jump_m if t_s >= what.jump_s else 0.0)
     gone = np.array(source_m) + way_m * np.array([np.sin(angle), np.cos(angle)])
-    folded = np.abs((gone + size_m) % (2.0 * size_m) - size_m)  # reflected at every border
-    return float(folded[0]), float(folded[1])
+    reflected = np.abs((gone + size_m) % (2.0 * size_m) - size_m)  # at every border
+    return float(reflected[0]), float(reflected[1])
 
 
 def lobe_gain_db(what: Disturbances, number: int, way_m: FloatArray, seed: int) -> FloatArray:

@@ -50,7 +50,7 @@ def walk(
     cot: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="URL", help="Tell ATAK and the like: udp://239.2.3.1:6969, tcp://HOST:PORT; repeat."
+            metavar="URL", help="Inform ATAK and the like: udp://239.2.3.1:6969, tcp://HOST:PORT; repeat."
         ),
     ] = None,
     background: Annotated[
@@ -114,7 +114,7 @@ def _mission(
             )
         mission_file = _written(folder, given, numbers, maps)
     elif maps[1]:
-        raise ConfigError(f"--cot: the mission file says whom it tells: [maps] cot = {list(maps[1])}")
+        raise ConfigError(f"--cot: the mission file says whom it informs: [maps] cot = {list(maps[1])}")
     elif maps[0]:
         raise ConfigError(f"--background: the mission file names it: [field] background = {maps[0]!r}")
     mission = read_mission(mission_file)

@@ -301,14 +301,14 @@ class Kernel:
         return ""
 
     def _height_missing(self, robot: str) -> Outcome:
-        """Said once of a robot that flies and whose positions tell no height."""
+        """Said once of a robot that flies and whose positions have no height."""
         origin = self.associator.without_height.get(robot)
         if origin is None or robot in self._warned:
             return NOTHING
         self._warned.add(robot)
         return Outcome(
             notes=(
-                f"{robot}: it flies, and its positions ({origin}) tell no height: what it hears is left out; "
+                f"{robot}: it flies, and its positions ({origin}) have no height: what it hears is left out; "
                 "take positions that have one, such as the vehicle's own",
             )
         )

@@ -33,7 +33,7 @@ class WalkOptions:
     rate: float = 1.0
     """Of the mission's clock: limits of the steering loop are of wall time."""
     cot: tuple[str, ...] = ()
-    """Whom it tells by Cursor on Target."""
+    """Whom it informs by Cursor on Target."""
     background: str = ""
     """A map under the page's, as the mission file will find it."""
 

@@ -1,8 +1,9 @@
 """How quick a live mission is: 16 robots on emulated wires in real time, the page open.
 
 The time from a packet on a radio's wire to the belief updated by it, at two rates, and from HOLD ALL on the page to
-the first of 16 vehicles being told and to the last one showing that it holds. Receptions are joined within 10 ms here,
-as with synchronised clocks; with the default `association` the belief waits a second for late ones, on any machine.
+the first of 16 vehicles getting the order and to the last one showing that it holds. Receptions are joined within
+10 ms here, as with synchronised clocks; with the default `association` the belief waits a second for late ones, on any
+machine.
 """
 
 import asyncio
@@ -128,7 +129,7 @@ async def _measure(runner: Runner, shown: serve.LivePage) -> dict[str, Any]:
 
 
 async def _hold_all(runner: Runner, viewer: "_Viewer") -> dict[str, Any]:
-    """From the command on the page's socket to the first vehicle being told, and to the last one showing it."""
+    """From the command on the page's socket to the first vehicle getting the order, and to the last one showing it."""
     ordered_s: list[float] = []
     shown_s: dict[str, float] = {}
 

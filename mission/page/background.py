@@ -1,6 +1,6 @@
 """A picture of the ground under the page's map: tiles of an MBTiles file, or a geo-referenced picture. No internet.
 
-Each picture is told by three of its corners in the field's frame, so that the page draws it with one affine map: over
+Each picture is placed by three of its corners in the field's frame, so that the page draws it with one affine map: over
 a field of some kilometres the projections bend by less than a pixel.
 """
 
@@ -54,7 +54,7 @@ class Background:
     """Share of the field that has a picture."""
 
     def described(self) -> dict[str, Any]:
-        """As the page is told."""
+        """As the page is sent it."""
         return {
             "credit": self.credit,
             "pictures": [

@@ -16,7 +16,7 @@ FRAME_NS = 400_000_000
 
 
 class LiveShow:
-    """A `Follower` and a `Show`: folds in the mission's thread, hands finished texts to the server's."""
+    """A `Follower` and a `Show`: takes events in the mission's thread, hands finished texts to the server's."""
 
     def __init__(self, view: View) -> None:
         self.view = view

@@ -24,7 +24,7 @@ FASTEST = 100.0
 
 
 class PastShow:
-    """A `Show` of a recording, folded once when made."""
+    """A `Show` of a recording, made once from the whole recording."""
 
     def __init__(self, recording: Recording) -> None:
         mission = recorded_mission(recording)

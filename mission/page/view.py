@@ -1,4 +1,4 @@
-"""What the page shows, folded from the same stream that is recorded: live missions and recordings look alike.
+"""What the page shows, built up from the same stream that is recorded: live missions and recordings look alike.
 
 A `View` is a `Follower`. `frame` is the present, `history` what a browser that has just come needs besides, and
 `news` what has happened since it was last asked. Everything is plain and JSON-ready; units are in the names.
@@ -268,7 +268,7 @@ class View:
             *grids,
         ]
 
-    # -- folding ---------------------------------------------------------------------------------------------
+    # -- taking events ------------------------------------------------------------------------------------------
 
     def _tick(self, now_ns: int) -> None:
         if self._start_ns is None:

@@ -107,7 +107,7 @@ def replay(
 
     With `check`, every command and every recorded belief digest must come out the same: `ReplayMismatch` names the
     first event that differs. Without, the outcome is a what-if: another antenna, belief or planner on the same inbox.
-    `on_step` is called after each event with its mission time, to pace a replay. `followers` are told everything as
+    `on_step` is called after each event with its mission time, to pace a replay. `followers` are given everything as
     the mission's own would be: a live page, another recording.
     """
     recording = open_recording(path)

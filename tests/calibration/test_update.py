@@ -87,7 +87,7 @@ def test_a_source_of_unknown_level_says_nothing_about_the_power() -> None:
     assert done.state == "updated" and done.file is not None
     assert done.file.antenna.power_at_1m_dbm == pytest.approx(TRUE[0])
     assert done.file.intervals_95["power_at_1m_dbm"][1] - TRUE[0] == pytest.approx(1.96, abs=0.01)
-    assert "not told" in done.lines[1]
+    assert "not given" in done.lines[1]
     told = update(file, walked(np.random.default_rng(4), level_db=9.0), level_db=9.0, old_sha256="x")
     assert told.file is not None and told.file.antenna.power_at_1m_dbm != TRUE[0]
     wrong = update(file, walked(np.random.default_rng(4), level_db=9.0), level_db=0.0, old_sha256="x")

@@ -219,7 +219,7 @@ def test_a_bag_that_was_cut_off_gives_what_came_before(tmp_path: Path) -> None:
 
 
 def test_a_bag_without_positions_names_what_is_read(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"no topic tells positions.*NavSatFix"):
+    with pytest.raises(DataError, match=r"no topic has positions.*NavSatFix"):
         read_track(write(tmp_path / "r.mcap", [packet("/packets", 0, -60)]))
 
 

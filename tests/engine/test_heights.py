@@ -192,7 +192,7 @@ def test_positions_without_a_height_are_none_of_a_robot_that_flies() -> None:
     kernel = Kernel(KernelSettings(settings, altitude_m={"b": 12.0}))
     kernel.step(VehicleState(0, "b", "guided", True))
     said = [kernel.step(Pose(k, "b", 1.0, 1.0, origin="camera")).notes for k in (1, 2)]
-    assert "b: it flies, and its positions (camera) tell no height" in said[0][0] and said[1] == ()
+    assert "b: it flies, and its positions (camera) have no height" in said[0][0] and said[1] == ()
     kernel.step(Pose(3, "a", 1.0, 1.0, origin="camera"))
     kernel.step(Tick(10**9))
     assert set(kernel.associator.without_height) == {"b"}

@@ -16,7 +16,7 @@ _MS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PacketLog:
-    """See the module. `names` has each packet's sender where frames tell it."""
+    """See the module. `names` has each packet's sender where frames name it."""
 
     packets: Packets
     names: tuple[str, ...] = ()

@@ -98,8 +98,8 @@ class ParticleFilter:
         weight = np.repeat(self.weight, self.sources - len(self.found))
         column = np.minimum((free[:, 0] * (cells[1] / self.size_m[0])).astype(int), cells[1] - 1)
         row = np.minimum((free[:, 1] * (cells[0] / self.size_m[1])).astype(int), cells[0] - 1)
-        counts = np.bincount(row * cells[1] + column, weights=weight, minlength=cells[0] * cells[1])
-        counts = counts.reshape(cells).astype(float)
+        flat = np.bincount(row * cells[1] + column, weights=weight, minlength=cells[0] * cells[1])
+        counts = flat.reshape(cells).astype(float)
         return np.asarray(ndimage.gaussian_filter(counts, smooth_cells, mode="constant"))
 
     def most_probable(self, cell_m: float) -> tuple[float, float]:

@@ -26,7 +26,7 @@ DEEPEST = 2.0
 """No shadow of more deviations than this is expected from what neighbours heard."""
 LEVEL_STEP_DB = 3.0
 SPENT_S = (0.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0, 640.0)
-"""Seconds a place has been listened at, at which a further second's worth is tabled."""
+"""Seconds a place has been listened at, at which P(heard) of a further second is tabled."""
 _DEVIATES = np.array([-2.0, -1.2, -0.4, 0.4, 1.2, 2.0])
 _WEIGHTS = np.exp(-0.5 * _DEVIATES**2) / np.exp(-0.5 * _DEVIATES**2).sum()
 
@@ -68,9 +68,9 @@ class PlaceNoise:
         self._spent_s: dict[tuple[int, int], float] = {}
         steps = model.hear.shape[1]
         range_m = np.sqrt((np.arange(steps) + 0.5) * model.step2_m2)
-        self._hear = np.stack([self._worth(spent_s, rate_hz, range_m) for spent_s in SPENT_S])
+        self._hear = np.stack([self._hear_after(spent_s, rate_hz, range_m) for spent_s in SPENT_S])
 
-    def _worth(self, spent_s: float, rate_hz: float, range_m: FloatArray) -> FloatArray:
+    def _hear_after(self, spent_s: float, rate_hz: float, range_m: FloatArray) -> FloatArray:
         """(h - 1, steps) P(heard) that a further second counts for after a silence of T.
 
         E[p exp(-rate p T)] / E[exp(-rate p T)] over the shadowing that the place may have.
@@ -89,7 +89,7 @@ class PlaceNoise:
         return np.asarray(top / below)
 
     def listen(self, exposure_s: FloatArray, cell_m: float, ears: FloatArray, duration_s: float) -> None:
-        """Add what a stretch of listening by ears (m, columns) is worth, and remember where it was."""
+        """Add what a stretch of listening by ears (m, columns) counts for, and remember where it was."""
         keys = [tuple(each) for each in np.floor(ears[:, : UP + 1] / self.length_m).astype(int).tolist()]
         spent = np.array([self._spent_s.get(key, 0.0) for key in keys])
         which = np.argmin(np.abs(spent[:, None] - np.array(SPENT_S)), axis=1).astype(np.int64)

@@ -108,7 +108,7 @@ def locate(
     most = ROUGH_PLACES if roughly else MOST_PLACES
     places, neighbours = together(source.place_m, source.level_db, _cell_m(source, radio), most)
     ways = [draw for group in radio.draws(count) for draw in group]
-    # Near a source an unsure position is worth more decibels; the typical distance stands for all.
+    # Near a source an unsure position costs more decibels; the typical distance stands for all.
     smear = 4.343 * radio.antenna.path_loss_exponent * radio.place_sigma_m / max(float(np.median(away)), 1e-9)
 
     def log_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:

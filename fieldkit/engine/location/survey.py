@@ -24,7 +24,7 @@ NEAREST_FIND_M = 2.0
 RANGE_SHARE = 0.1
 MOST_SILENT = 250
 OFFSET_TOLD_DB = 2.0
-"""A common offset beyond so many of its own deviations is told."""
+"""A common offset beyond so many of its own deviations is reported."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,7 +70,7 @@ class InformativeBelief(Belief, Protocol):
         ...
 
     def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
-        """Candidates worth another look, each with so many samples of where and how strong it may be."""
+        """Candidates to be listened to again, each with so many samples of where and how strong it may be."""
         ...
 
 

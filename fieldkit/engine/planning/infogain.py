@@ -1,6 +1,6 @@
 """The default planner: each team takes, of many paths, the one from which the belief will learn most.
 
-A path is worth the sources it would newly hear on unsearched ground, plus the progress it would make on
+A path's reward is the sources it would newly hear on unsearched ground, plus the progress it would make on
 candidates not yet resolved: receptions still missing, and the shrinking of their posterior by Fisher information,
 both as expected over samples of where and how strong each candidate may be. Teams are planned one after another
 on what the others leave; no path comes nearer to another team than the separation, or leads further than a robot's
@@ -76,10 +76,10 @@ class InfoGainPlanner(Planner):
             start = np.array([situation.position_m[robot] for robot in team])
             options = self._options(situation, team, start, reward, horizon_s)
             ears = self._ears(team, situation)
-            worth = reward.worth(options.tracks_m, ears)
-            best = int(np.argmax(worth)) if worth.size else -1
+            rewards = reward.of(options.tracks_m, ears)
+            best = int(np.argmax(rewards)) if rewards.size else -1
             if (
-                best < 0 or worth[best] == -np.inf
+                best < 0 or rewards[best] == -np.inf
             ):  # boxed in by the others, or no battery left for any path: stay
                 for robot in team:
                     paths[robot], purpose[robot] = (), "wait"
@@ -159,7 +159,7 @@ class InfoGainPlanner(Planner):
     def _over_ground(
         self, reward: Reward, centre: Place, typical_m: float, length_m: float
     ) -> list[list[Place]]:
-        """Corners of ways over ground worth searching: across the field, and every other one nearby."""
+        """Corners of paths over unsearched ground: across the field, and every other one nearby."""
         pick = self._picker(reward.left())
         ways = []
         for index in range(self._tuning.ground_paths):

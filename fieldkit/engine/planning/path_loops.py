@@ -36,7 +36,7 @@ def path_ground_gain(
 ) -> float:
     """Value of the ground a group of robots would cover on its path.
 
-    `track` (steps, m, 2); `value` (n_north, n_east) what finding a source there is worth times its probability;
+    `track` (steps, m, 2); `value` (n_north, n_east) the reward of a find there times its probability;
     `planned` exposure (s) other groups will add; `hear` (k,) averaged over levels; `ears` (m, 3) as of `as_far2`.
     `scratch` (as `value`) holds the path's own exposure afterwards, wherever the path is heard; elsewhere it is not
     touched.

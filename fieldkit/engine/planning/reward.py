@@ -1,9 +1,9 @@
-"""What a path of a team is worth to the default planner, beside those already planned.
+"""The reward of a team's path for the default planner, given the paths already planned.
 
-A path is worth the sources it would newly hear on unsearched ground, plus the progress it would make on candidates
-not yet resolved: receptions still missing, and the shrinking of their posterior by Fisher information, both as
-expected over samples of where and how strong each candidate may be. A find is worth another look by the probability
-that it lies a cell off.
+The reward is the expected number of sources the path would newly hear on unsearched ground, plus the progress it would
+make on candidates not yet resolved: receptions still missing, and the shrinking of their posterior by Fisher
+information, both as expected over samples of where and how strong each candidate may be. A find counts by the
+probability that it lies a cell off.
 """
 
 import math
@@ -64,7 +64,7 @@ class Reward:
         before = self._taken_m
         self._taken_m = track_m if before is None else np.concatenate([before, track_m], axis=1)
 
-    def worth(self, tracks_m: FloatArray, ears: FloatArray) -> FloatArray:
+    def of(self, tracks_m: FloatArray, ears: FloatArray) -> FloatArray:
         """(n,) of tracks (n, steps, m, 2): sources newly heard, and progress with those not resolved.
 
         -inf where a track comes nearer than the separation to one that was taken.
@@ -120,7 +120,7 @@ class Reward:
         return information
 
     def _progress(self, candidate: Unresolved, information: FloatArray) -> FloatArray:
-        """(n,) worth of what is known of a candidate given this (n, 4) exposure and information."""
+        """(n,) reward for what is known of a candidate given this (n, 4) exposure and information."""
         rate = candidate.rate_hz
         antenna = self._settings.antenna
         cell_m = self._settings.find_radius_m or self._settings.grid.cell_m
@@ -134,7 +134,7 @@ class Reward:
             ee / det + scale * information[:, 3],
         )
         # Receptions still needed grow with the precision still missing: so counted, a candidate that is nearly
-        # resolved is worth finishing before driving to the next. Eigenvalues of the precision, closed form.
+        # resolved is finished before the team drives to the next. Eigenvalues of the precision, closed form.
         only_place = candidate.state == "found" and not candidate.may_be_two
         target = ((self._tuning.settled_cells if only_place else self._tuning.target_cells) * cell_m) ** 2
         middle, half = (ee + nn) / 2.0, np.hypot((ee - nn) / 2.0, en)
@@ -142,11 +142,11 @@ class Reward:
         missing = max(1.0, self._settings.min_receptions - candidate.receptions)
         received = 1.0 - np.exp(-rate * information[:, 0] / missing)
         if only_place:
-            worth = self._tuning.settle_value * (1.0 - candidate.p_here)
+            weight = self._tuning.settle_value * (1.0 - candidate.p_here)
         else:
-            worth = self._tuning.inconsistent_value if candidate.state == "inconsistent" else 1.0
+            weight = self._tuning.inconsistent_value if candidate.state == "inconsistent" else 1.0
         return np.asarray(
-            worth * (self._tuning.resolve_value * done + self._tuning.reception_value * received)
+            weight * (self._tuning.resolve_value * done + self._tuning.reception_value * received)
         )
 
 

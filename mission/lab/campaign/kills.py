@@ -162,7 +162,7 @@ def fly(folder: str, seed: int, rate: float) -> None:
     warm_up(mission)  # as every real mission does
     witness = os.open(Path(folder) / "witness", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
-    class Journaled(RecordingWriter):
+    class Witnessed(RecordingWriter):
         """Writes down what it is given before it is recorded."""
 
         def _add(self, topic: str, data: bytes, sequence: int, log_ns: int, publish_ns: int) -> None:
@@ -178,7 +178,7 @@ def fly(folder: str, seed: int, rate: float) -> None:
 
     with (
         setups.emulated(mission, hidden_sources(seed), seed=seed, rate=rate) as setup,
-        Journaled(
+        Witnessed(
             Path(folder) / "mission.mcap",
             mission_toml=mission.text,
             antenna_toml=mission.antenna_text,

@@ -93,7 +93,7 @@ def run() -> dict[str, Any]:
 
 
 def _pad(path: Path, size: int) -> None:
-    """A recording of at least that size: a camera's worth of raw bytes, which do not compress."""
+    """A recording of at least that size: as many raw bytes as of a camera, which do not compress."""
     rng = np.random.default_rng(1)
     with RecordingWriter(path, start_ns=START_NS) as writer:
         number = 0

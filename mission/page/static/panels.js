@@ -150,7 +150,7 @@ function events() {
     const find = note.text.startsWith("found source") ? " find" : "";
     return element("li", { className: `event ${note.level}${find}` }, element("time", { textContent: clock(note.t_s) }), element("span", { textContent: note.text }));
   });
-  const empty = element("li", { className: "empty", textContent: "Nothing to tell yet." });
+  const empty = element("li", { className: "empty", textContent: "Nothing yet." });
   $("events").querySelector(".rows").replaceChildren(...(rows.length ? rows : [empty]));
 }
 

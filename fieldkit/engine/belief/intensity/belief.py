@@ -124,7 +124,7 @@ class IntensityBelief:
         """Whether this is the first look at which the place is certain enough: a find must outlast one reception.
 
         The moment a probability first crosses a threshold is picked for being high; one more independent reception
-        that leaves it there is worth more than a higher threshold.
+        that leaves it there proves more than a higher threshold.
         """
         if candidate.certain_since is None:
             candidate.certain_since = candidate.receptions
@@ -305,7 +305,7 @@ class IntensityBelief:
         return ground.of_field(self.mixture.another_source(rate_hz).sum(axis=0)) / ground.factor**2
 
     def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
-        """What is worth another look: candidates not found, finds that may be two sources or lie a cell off.
+        """What is to be listened to again: candidates not found, finds that may be two sources or lie a cell off.
 
         Each with samples of where and how strong it may be.
         """

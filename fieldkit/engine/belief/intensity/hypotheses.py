@@ -45,7 +45,7 @@ def revise(mixture: "Mixture") -> bool | None:
 def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     count, inconsistent = candidate.receptions, candidate.state == "inconsistent"
     whole = _re_estimated_from(mixture, candidate)
-    responsibility = _worth(mixture, whole)
+    responsibility = _discounted(mixture, whole)
     blank = _fresh(mixture, candidate, responsibility, most=mixture.tuning.compared_points)
     single = blank.copy()
     single.set_responsibilities(list(responsibility), list(responsibility.values()))
@@ -92,9 +92,13 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     return True
 
 
-def _undone(part: dict[int, float], worth: dict[int, float], whole: dict[int, float]) -> dict[int, float]:
+def _undone(
+    part: dict[int, float], discounted: dict[int, float], whole: dict[int, float]
+) -> dict[int, float]:
     """A part's responsibilities as they are without the discount for neighbours."""
-    return {number: responsibility * whole[number] / worth[number] for number, responsibility in part.items()}
+    return {
+        number: responsibility * whole[number] / discounted[number] for number, responsibility in part.items()
+    }
 
 
 def _next_look(mixture: "Mixture", count: float, odds_nats: float, inconsistent: bool) -> float:
@@ -118,14 +122,15 @@ def _re_estimated_from(mixture: "Mixture", candidate: Candidate) -> dict[int, fl
     return dict(claimed[:: -(-len(claimed) // mixture.tuning.re_estimated_from) or 1])
 
 
-def _worth(mixture: "Mixture", responsibility: dict[int, float]) -> dict[int, float]:
+def _discounted(mixture: "Mixture", responsibility: dict[int, float]) -> dict[int, float]:
     """The same responsibilities, each discounted for its neighbours, as when none is conditioned on the others."""
     spread = mixture.settings.spread
     if mixture.places is None or spread is None:
         return responsibility
-    worth = redundancy([mixture.open[number].near_m for number in responsibility], spread)
+    weights = redundancy([mixture.open[number].near_m for number in responsibility], spread)
     return {
-        number: part * float(each) for (number, part), each in zip(responsibility.items(), worth, strict=True)
+        number: part * float(each)
+        for (number, part), each in zip(responsibility.items(), weights, strict=True)
     }
 
 

@@ -21,7 +21,7 @@ def merge(mixture: "Mixture") -> bool:
                     continue
                 if not (_close(mixture, first, second) or _one_in_shadow(mixture, first, second)):
                     continue
-                if not _worth_a_look(mixture, first, second):
+                if not _may_be_one(mixture, first, second):
                     continue
                 keep, drop = (first, second) if first.receptions >= second.receptions else (second, first)
                 settle = mixture.condition_on_each_other if mixture.places is not None else None
@@ -63,7 +63,7 @@ def _one_in_shadow(mixture: "Mixture", first: Candidate, second: Candidate) -> b
     )
 
 
-def _worth_a_look(mixture: "Mixture", first: Candidate, second: Candidate) -> bool:
+def _may_be_one(mixture: "Mixture", first: Candidate, second: Candidate) -> bool:
     """Whether enough was heard of two neighbours since they were last found to be two; always without place noise.
 
     Conditioning all they claim on each other takes time.

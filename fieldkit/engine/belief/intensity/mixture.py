@@ -242,7 +242,7 @@ class Mixture:
         return self._next_ident - 1
 
     def _rate_trust(self, candidate: Candidate) -> float:
-        """Mean worth of what it claims beside its neighbours; 1 without place noise."""
+        """Mean weight of what it claims given its neighbours; 1 without place noise."""
         if self.places is None or self.settings.spread is None:
             return 1.0
         own = [
