@@ -8,7 +8,7 @@ is the one that calibrating the example's readings log gives.
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ import numpy as np
 
 from fieldkit.errors import ConfigError, DataError
 from fieldkit.files import write_whole
+from fieldkit.messages import Operator
 from fieldkit.world.sources import TransientSource, random_sources
 from mission.core.mission_file import Mission, read_mission
 from mission.core.template import TemplateRobot, mission_text
@@ -36,6 +37,8 @@ POWER_LEVELS_DB = (-8.0, -6.0, -4.0, -2.0, 0.0)
 """The XBee-PRO's 10 to 18 dBm in steps of 2 dB, relative to the strongest, which the calibration used."""
 SOURCE_SEPARATION_M = 1.0
 CLOCK_RATE = 10.0
+RESUMES_S = 10.0
+"""Mission seconds that the demo's operator takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +57,36 @@ class DemoResult:
             **compare(self.runner, self.sources),
             "recording": str(self.folder / "mission.mcap"),
         }
+
+
+@dataclass
+class PlayedOperator:
+    """Resumes what its own failsafe has stopped, as an operator would.
+
+    Under a fast clock a machine that is busy for a moment is silent for seconds, and vehicles stop by themselves.
+    """
+
+    runner: Runner | None = None
+    heard_s: dict[str, float] = field(default_factory=dict)
+    """Robot that waits for the operator to since when it is heard again."""
+
+    def attach(self, runner: Runner) -> None:
+        """The mission that it looks after."""
+        self.runner = runner
+
+    def look(self) -> None:
+        """Resume who has been heard for a while, and waits."""
+        if self.runner is None:
+            return
+        now_s = self.runner.setup.clock.elapsed_s()
+        for name, robot in self.runner.safety.robots.items():
+            heard = robot.vehicle is not None and robot.vehicle.link_up
+            if not (robot.called and heard and not robot.ordered):
+                self.heard_s.pop(name, None)
+            elif now_s - self.heard_s.setdefault(name, now_s) >= RESUMES_S:
+                del self.heard_s[name]
+                reason = "the demo's operator: it is heard again"
+                self.runner.put(Operator(self.runner.setup.clock.now_ns(), "resume", name, reason=reason))
 
 
 def example_readings() -> Path:
@@ -119,15 +152,22 @@ def run(
     """One whole mission; its files are in `folder` afterwards. A `page` must be of the mission `prepared`."""
     mission, sources = prepared or prepare(folder, seed)
     warm_up(mission)
+    operator = PlayedOperator()
+
+    def look(progress: Progress) -> None:
+        operator.look()
+        on_progress(progress)
+
     with setups.emulated(mission, sources, seed=seed, rate=rate) as setup:
         runner = fly(
             mission,
             setup,
             folder / "mission.mcap",
-            on_progress,
+            look,
             truth=sources,
             extra={"demo": True, "seed": seed},
             page=page,
+            on_start=operator.attach,
         )
     return DemoResult(mission, runner, sources, folder)
 

@@ -31,11 +31,12 @@ def fly(
     override: str = "",
     past: Recording | None = None,
     others: tuple[Follower, ...] = (),
+    on_start: Callable[[Runner], None] = lambda _: None,
 ) -> Runner:
     """Run a mission on a setup with a recording; the runner, ended. The recording is closed whatever happens.
 
-    `others` are told everything that is recorded, beside the page. With `past`, the recording of a mission that was
-    interrupted, it goes on from there; the new recording holds all.
+    `others` are told everything that is recorded, beside the page. `on_start` is given the runner before it runs.
+    With `past`, the recording of a mission that was interrupted, it goes on from there; the new recording holds all.
     """
     metadata: dict[str, Any] = {
         "mission": mission.file.name,
@@ -71,6 +72,7 @@ def fly(
                 setup.tap.listen(lambda robot, data: recorder.raw(setup.clock.now_ns(), robot, data))
             if page is not None:
                 page.attach(runner)
+            on_start(runner)
             with keyboard(runner):
                 await runner.run()
 

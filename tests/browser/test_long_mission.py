@@ -133,7 +133,8 @@ def test_a_recording_is_shown_at_any_time_and_plays(browser: Any, recorded: Path
         tab.select_option("#rate", "100")
         tab.click("#play")
         tab.wait_for_function("() => window.fieldkit.frame.t_s >= 140")
-        assert tab.evaluate("window.fieldkit.tracks.r1.at(-1)[0]") > 130
+        # Tracks come once a second of real time, a hundred seconds of the recording at this rate.
+        tab.wait_for_function("() => window.fieldkit.tracks.r1.at(-1)[0] > 130")
 
 
 def test_a_recording_takes_no_commands(recorded: Path) -> None:

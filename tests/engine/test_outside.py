@@ -55,6 +55,20 @@ def test_a_source_just_inside_is_found_inside(seed: int) -> None:
     assert np.hypot(found.east_m - 11.0, found.north_m - 6.0) < 1.0
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_a_source_on_the_border_is_found_and_not_outside(seed: int) -> None:
+    belief = searched((12.0, 6.0), seed)
+    heard = [each for each in belief.sources() if each.receptions > 2.5]
+    assert [each.state for each in heard] == ["found"]
+    assert np.hypot(heard[0].east_m - 12.0, heard[0].north_m - 6.0) < 1.0
+
+
+def test_how_far_beyond_is_said_in_decimetres_where_it_is_near() -> None:
+    ground = ground_of(FIELD, 10_000)
+    assert "about 0.7 m beyond" in ground.said_of(np.array([12.7, 6.0]))
+    assert "about 3 m beyond" in ground.said_of(np.array([15.0, 6.0]))
+
+
 def test_what_planners_and_pages_see_is_of_the_fields_own_shape() -> None:
     belief = searched((14.0, 6.0), 1, rounds=20)
     for values in (belief.presence(), belief.activity(), belief.ground_value(), belief.exposure_s[0]):

@@ -69,6 +69,8 @@ def test_it_turns_on_its_circle_and_leaves_it_along_a_tangent(
             0.0, abs=1e-6 * (1 + radius_m) * 60
         )
     first = way.legs[0]
+    if first.length_m < 1e-6:
+        return  # no arc: beside it, inside the circle, an arc of no length is the nearest that it comes
     off = math.atan2(first.end_m[0] - start[0], first.end_m[1] - start[1]) - math.radians(heading_deg)
     assert abs((off + math.pi) % (2 * math.pi) - math.pi) <= CHORD_RAD / 2 + 1e-6
 

@@ -31,10 +31,14 @@ class Ground:
         columns = self.beyond + np.arange(self.field.n_east) // self.factor
         return np.asarray(values[..., rows[:, None], columns[None, :]])
 
-    def has_field(self, points_m: FloatArray) -> NDArray[np.bool_]:
-        """(n,) whether points (n, 2) lie in the field."""
+    def has_field(self, points_m: FloatArray, grace_m: float = 0.0) -> NDArray[np.bool_]:
+        """(n,) whether points (n, 2) lie in the field, or at most `grace_m` beyond its border.
+
+        Half of what is believed of a source on the border lies beyond it: without grace such a source would be outside
+        in every other mission.
+        """
         size_m = np.array([self.field.size_east_m, self.field.size_north_m])
-        return np.asarray(((points_m >= 0.0) & (points_m <= size_m)).all(axis=1))
+        return np.asarray(((points_m >= -grace_m) & (points_m <= size_m + grace_m)).all(axis=1))
 
     @property
     def sources_a_cell(self) -> float:
@@ -47,7 +51,9 @@ class Ground:
         east_m, north_m = place_m - size_m / 2.0
         beyond_m = float(np.hypot(*(np.clip(place_m, 0.0, size_m) - place_m)))
         bearing_deg = math.degrees(math.atan2(east_m, north_m)) % 360.0
-        return f"outside the field, about {beyond_m:.0f} m beyond its border, at {bearing_deg:.0f} deg from its middle"
+        digits = 1 if beyond_m < 2.0 else 0
+        beyond = f"about {beyond_m:.{digits}f} m beyond its border"
+        return f"outside the field, {beyond}, at {bearing_deg:.0f} deg from its middle"
 
 
 def ground_of(settings: EngineSettings, most_cells: int) -> Ground:

@@ -398,7 +398,9 @@ class Mixture:
                 self.model.outside,
                 self.field.cell_m,
                 self.settings.find_radius_m,
-                self.ground.has_field(candidate.points_m),
+                self.ground.has_field(
+                    candidate.points_m, max(self.settings.find_radius_m or 0.0, self.field.cell_m)
+                ),
                 shared_sigma_m(self, candidate),
             )
         return self._summaries[candidate.ident]
