@@ -37,7 +37,7 @@ POWER_LEVELS_DB = (-8.0, -6.0, -4.0, -2.0, 0.0)
 """The XBee-PRO's 10 to 18 dBm in steps of 2 dB, relative to the strongest, which the calibration used."""
 SOURCE_SEPARATION_M = 1.0
 CLOCK_RATE = 10.0
-RESUMES_S = 10.0
+RESUMES_S = 5.0
 """Mission seconds that the demo's operator takes."""
 
 
@@ -81,7 +81,8 @@ class PlayedOperator:
         now_s = self.runner.setup.clock.elapsed_s()
         for name, robot in self.runner.safety.robots.items():
             heard = robot.vehicle is not None and robot.vehicle.link_up
-            if not (robot.called and heard and not robot.ordered):
+            waits = robot.ordered == "withdraw" or (robot.called and not robot.ordered)
+            if not (waits and heard):
                 self.heard_s.pop(name, None)
             elif now_s - self.heard_s.setdefault(name, now_s) >= RESUMES_S:
                 del self.heard_s[name]
