@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Literal
@@ -22,6 +23,11 @@ WORDS: dict[str, Action] = {
 }
 HELP = "Enter: HOLD ALL   r: resume   home: all return, in sequence   end: end the mission   Ctrl-C: end"
 EVERYBODY = ("all", "everybody", "*")
+LONGEST_LINE = 4096
+"""What a terminal takes for a line at the most."""
+LISTEN_AGAIN_S = 0.2
+"""A terminal that has given nothing, though it said that it would, is listened to again after so long."""
+MOST_SHOWN = 40
 
 
 class NotUnderstood(ValueError):
@@ -37,17 +43,37 @@ def meaning(line: str, robots: Sequence[str]) -> tuple[Action, str | None]:
     said = words[0].lower() if words else ""
     action = WORDS.get(said)
     if action is None:
-        raise NotUnderstood(f"there is no command {said!r}. {HELP}")
+        raise NotUnderstood(f"there is no command {_shown(said)}. {HELP}")
     who = " ".join(words[1:])
     if not who or who.lower() in EVERYBODY:
         return action, None
     if action == "end":
-        raise NotUnderstood(f"'end' ends the whole mission and takes no robot, got {who!r}. Nothing was done")
+        raise NotUnderstood(
+            f"'end' ends the whole mission and takes no robot, got {_shown(who)}. Nothing was done"
+        )
     if who not in robots:
         raise NotUnderstood(
-            f"there is no robot {who!r}; robots are: {', '.join(robots)}, or all. Nothing was done"
+            f"there is no robot {_shown(who)}; robots are: {', '.join(robots)}, or all. Nothing was done"
         )
     return action, who
+
+
+def _shown(word: str) -> str:
+    """As it was typed, as far as it helps."""
+    return repr(word if len(word) <= MOST_SHOWN else f"{word[:MOST_SHOWN]}...")
+
+
+class Typed:
+    """Lines out of what a terminal gives. It is never waited for: the end of a line may not have been typed yet."""
+
+    def __init__(self) -> None:
+        self._begun = b""
+
+    def lines(self, data: bytes) -> list[str]:
+        """The lines that `data` completes."""
+        *whole, begun = (self._begun + data).replace(b"\r", b"\n").split(b"\n")
+        self._begun = begun[:LONGEST_LINE]
+        return [line.decode("utf-8", "replace") for line in whole]
 
 
 @contextlib.contextmanager
@@ -57,12 +83,10 @@ def keyboard(runner: Runner) -> Iterator[None]:
     if not (sys.stdin is not None and sys.stdin.isatty()):
         yield
         return
+    terminal, typed = sys.stdin.fileno(), Typed()
+    waits: asyncio.TimerHandle | None = None
 
-    def typed() -> None:
-        line = sys.stdin.readline()
-        if not line:  # the terminal has gone
-            loop.remove_reader(sys.stdin.fileno())
-            return
+    def obey(line: str) -> None:
         try:
             action, robot = meaning(line, runner.mission.kernel.engine.robots)
         except NotUnderstood as refusal:
@@ -70,12 +94,35 @@ def keyboard(runner: Runner) -> Iterator[None]:
             return
         runner.put(Operator(runner.setup.clock.now_ns(), action, robot, f"terminal: {action}"))
 
+    def ready() -> None:
+        try:
+            data = os.read(terminal, LONGEST_LINE)
+        except OSError:  # in the background it gives nothing
+            data = b""
+        for line in typed.lines(data):
+            obey(line)
+        if (
+            not data
+        ):  # Ctrl-D ends no terminal, and the next Enter must hold; one that has gone is not asked for ever
+            pause()
+
+    def pause() -> None:
+        nonlocal waits
+        loop.remove_reader(terminal)
+        waits = loop.call_later(LISTEN_AGAIN_S, listen)
+
+    def listen() -> None:
+        if os.isatty(terminal):
+            loop.add_reader(terminal, ready)
+
     try:
-        loop.add_reader(sys.stdin.fileno(), typed)
+        loop.add_reader(terminal, ready)
     except (NotImplementedError, OSError, ValueError):  # Windows; a closed descriptor
         yield
         return
     try:
         yield
     finally:
-        loop.remove_reader(sys.stdin.fileno())
+        loop.remove_reader(terminal)
+        if waits is not None:
+            waits.cancel()

@@ -102,7 +102,9 @@ class Runner:
             self.setup.links, self.setup.clock, self._note, self.mission.safety.altitude_m
         )
         self.fences = VehicleFences(self.mission, self.dispatcher.link_of, self._note)
-        self.signals = StopSignals(self._signalled, self._signalled_again, self._signalled_last)
+        self.signals = StopSignals(
+            self._signalled, self._signalled_again, self._signalled_last, self._suspended
+        )
         self.unconfirmed: list[str] = []
         """Robots that had not shown that they hold when the mission was left."""
         self._doing: dict[str, str] = {}
@@ -213,6 +215,10 @@ class Runner:
         """Whoever is not home or has not shown that it holds is named, and left."""
         self.dispatcher.lose_patience()
         self.put(Operator(self.setup.clock.now_ns(), "end", None, "left at once"))
+
+    def _suspended(self) -> None:
+        self.put(Operator(self.setup.clock.now_ns(), "hold", None, "Ctrl-Z"))
+        self._say("Ctrl-Z does not suspend a mission: all robots hold; r: resume   Ctrl-C: end")
 
     def _say(self, text: str) -> None:
         logger.warning(text)

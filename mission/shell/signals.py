@@ -3,6 +3,9 @@
 The first one ends the mission: every vehicle is told to hold until it shows it. A second one changes nothing and says
 who has not shown it yet. A third one leaves, naming them. SIGHUP comes when a terminal closes or ssh drops: the
 vehicles must not learn of it later than the operator.
+
+A terminal does not suspend a mission either: nobody would steer. Ctrl-Z holds all robots, and the mission goes on; one
+in the background neither reads nor is stopped for what is typed elsewhere.
 """
 
 import asyncio
@@ -14,19 +17,31 @@ from types import FrameType
 STOPS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
+SUSPENDS = tuple(getattr(signal, name) for name in ("SIGTSTP",) if hasattr(signal, name))
+BACKGROUND = tuple(getattr(signal, name) for name in ("SIGTTIN", "SIGTTOU") if hasattr(signal, name))
 
 
 class StopSignals:
-    """What each signal in turn leads to: `first` ends the mission, `again` speaks, `last` stops waiting."""
+    """What each signal in turn leads to: `first` ends the mission, `again` speaks, `last` stops waiting.
+
+    `suspend` is for Ctrl-Z.
+    """
 
     def __init__(
-        self, first: Callable[[str], None], again: Callable[[], None], last: Callable[[], None]
+        self,
+        first: Callable[[str], None],
+        again: Callable[[], None],
+        last: Callable[[], None],
+        suspend: Callable[[], None] = lambda: None,
     ) -> None:
-        self._first, self._again, self._last = first, again, last
+        self._first, self._again, self._last, self._suspend = first, again, last, suspend
         self.count = 0
 
     def came(self, number: int) -> None:
         """A signal has come, in the event loop's thread."""
+        if number in SUSPENDS:
+            self._suspend()
+            return
         self.count += 1
         if self.count == 1:
             self._first(signal.Signals(number).name)
@@ -45,7 +60,7 @@ class StopSignals:
         def plain(number: int, _: FrameType | None) -> None:
             loop.call_soon_threadsafe(self.came, number)
 
-        for number in STOPS:
+        for number in (*STOPS, *SUSPENDS):
             try:
                 loop.add_signal_handler(number, self.came, number)
                 by_loop.append(number)
@@ -54,6 +69,9 @@ class StopSignals:
                     before[number] = signal.signal(number, plain)
             except ValueError:
                 continue
+        for number in BACKGROUND:
+            with contextlib.suppress(ValueError):  # a thread that is not the main one
+                before[number] = signal.signal(number, signal.SIG_IGN)
         try:
             yield
         finally:

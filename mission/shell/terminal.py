@@ -14,6 +14,7 @@ from fieldkit.checks import Check, worst
 from fieldkit.clock import wall_s
 from fieldkit.messages import SourceEstimate
 from mission.shell.runner import Progress
+from mission.shell.unhurried import unhurried_standard_error
 
 PLAIN_EVERY_S = 5.0
 """Wall seconds between lines where the output is not a terminal."""
@@ -24,7 +25,10 @@ LEAST_P = 0.05
 
 
 class Watch:
-    """Progress on standard error: a live panel on a terminal, a line now and then elsewhere."""
+    """Progress on standard error: a live panel on a terminal, a line now and then elsewhere.
+
+    While it shows, nobody who writes there waits for the terminal: steering must not stop because that has.
+    """
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._console = Console(stderr=True, quiet=quiet)
@@ -32,8 +36,10 @@ class Watch:
         self._notes: list[str] = []
         self._last_s = -PLAIN_EVERY_S
         self._alarmed: set[str] = set()
+        self._around = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
+        self._around.enter_context(unhurried_standard_error())
         if self._console.is_terminal:
             self._live.start()
         return self
@@ -44,9 +50,10 @@ class Watch:
         with contextlib.suppress(OSError):
             if self._live.is_started:
                 self._live.stop()
+        self._around.close()
 
     def show(self, progress: Progress) -> None:
-        """Take in the state after a tick. Raises `OSError` where the terminal has gone."""
+        """Take in the state after a tick."""
         for alarm in progress.alarms:
             name = alarm.split(" for ")[0]  # a number that grows is no new alarm
             if name not in self._alarmed and not self._live.is_started:

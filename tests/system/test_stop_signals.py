@@ -117,3 +117,14 @@ def test_a_second_signal_cancels_nothing_and_a_third_leaves_with_names(tmp_path:
     assert flight.process.wait(60.0) == 0
     assert "unconfirmed r1 r2" in flight.said()
     assert open_recording(tmp_path / "mission.mcap").complete
+
+
+def test_ctrl_z_holds_everybody_and_suspends_nothing(tmp_path: Path) -> None:
+    flight = Flight(tmp_path, confirms=True)
+    flight.process.send_signal(signal.SIGTSTP)
+    flight.until("hold r1")
+    flight.until("hold r2")
+    assert "ended" not in flight.said()
+    flight.process.send_signal(signal.SIGINT)
+    assert flight.process.wait(60.0) == 0
+    assert "ended interrupted (SIGINT) unconfirmed\n" in flight.said()
