@@ -39,7 +39,7 @@ COORDINATE_M = Quantity(0.0, -200_000.0, 200_000.0, "m", "coordinate of a corner
 # -- transmitters --------------------------------------------------------------------------------------------
 
 POWER_DB = Quantity(0.0, -60.0, 60.0, "dB", "power of a transmitter relative to the calibrated one")
-RATE_HZ = positive(0.05, 1_000.0, "Hz", "transmissions of a typical source")
+RATE_HZ = Quantity(0.05, 1e-6, 1_000.0, "Hz", "transmissions of a typical source")
 SOURCE_UP_M = Quantity(0.0, -500.0, 9_000.0, "m", "height of transmitters above the field's origin")
 EXPECTED_SOURCES = positive(4.0, 10_000.0, "", "expected number of sources in the field")
 IDENTITY: Final = "anonymous"
@@ -109,9 +109,9 @@ FENCE_MARGIN_M = Quantity(
 )
 MARGIN_SIGMAS = 2.0
 """So many standard deviations of the positions are added to every margin."""
-MAX_SPEED_M_S = positive(0.4, 50.0, "m/s", "no robot is ordered to go faster")
-MAX_TURN_DEG_S = positive(90.0, 1_000.0, "deg/s", "how fast a robot turns")
-MAX_LEG_M = positive(1_000.0, 100_000.0, "m", "no way-point is further away")
+MAX_SPEED_M_S = Quantity(0.4, 0.01, 50.0, "m/s", "no robot is ordered to go faster")
+MAX_TURN_DEG_S = Quantity(90.0, 0.1, 1_000.0, "deg/s", "how fast a robot turns")
+MAX_LEG_M = Quantity(1_000.0, 0.1, 100_000.0, "m", "no way-point is further away")
 POSE_TIMEOUT_S = Quantity(2.0, 0.2, 60.0, "s", "a position that is older is unknown")
 MIN_SEPARATION_M = Quantity(
     0.5, 0.05, 1_000.0, "m", "no two way-points are nearer; robots at half of it are too near"

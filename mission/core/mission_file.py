@@ -96,14 +96,16 @@ def parse_mission(text: str, where: str) -> MissionFile:
     """Check the text of a mission file. Raises `ConfigError`: file, key path, what was expected, what was there."""
     try:
         raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # a number of thousands of digits is one as well
         raise ConfigError(f"{where}: not valid TOML: {error}") from error
+    except RecursionError:
+        raise ConfigError(f"{where}: not valid TOML: nested too deeply") from None
     if "parameters" in raw and "field" not in raw:
         raise ConfigError(f"{where}: is an antenna file; name the mission file that uses it")
     schema = raw.get("schema")
     if isinstance(schema, int) and not isinstance(schema, bool) and schema > SCHEMA:
         raise ConfigError(
-            f"{where}: schema: {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
+            f"{where}: schema: {str(schema)[:20]} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
         )
     try:
         file = MissionFile.model_validate(raw)

@@ -370,9 +370,13 @@ class MissionFile(Table):
                 f"safety.fence_margin_m: with {given.MARGIN_SIGMAS:g} engine.pose_sigma_m it is {self.margin_m:g} m "
                 f"on every side, which leaves no ground in this field ({side_m:g} m)"
             )
-        if len(self.robot) > 1 and self.safety.min_separation_m > side_m:
-            raise ValueError(
-                f"safety.min_separation_m: expected less than the field's {side_m:g} m, "
-                f"got {self.safety.min_separation_m:g}"
-            )
+        within = {
+            "safety.min_separation_m": self.safety.min_separation_m if len(self.robot) > 1 else 0.0,
+            "safety.braking_m": self.safety.braking_m or 0.0,
+            "safety.turn_radius_m": self.safety.turn_radius_m or 0.0,
+            "engine.arrive_m": self.engine.arrive_m or 0.0,
+        }
+        for key, given_m in within.items():
+            if given_m > side_m:
+                raise ValueError(f"{key}: expected less than the field's {side_m:g} m, got {given_m:g}")
         return self

@@ -7,8 +7,10 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 from scipy.stats import norm
 
+from fieldkit.channel.antenna_file import Receiver
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.engine.likelihood import levels_loops
+from fieldkit.engine.likelihood.ears import Ears
 from fieldkit.engine.likelihood.levels import LevelsModel
 from fieldkit.messages import Detection
 from fieldkit.tuning import LikelihoodTuning
@@ -112,3 +114,11 @@ def test_exposure_kernel_agrees_with_a_plain_twin() -> None:
 
 def test_louder_is_heard_further() -> None:
     assert ANTENNA.nominal_range_m(0.0) / ANTENNA.nominal_range_m(-8.0) == pytest.approx(10 ** (8 / 25.3))
+
+
+def test_a_radio_far_more_sensitive_than_the_calibrated_one_makes_no_error() -> None:
+    """What the others hear from nearer than the common table resolves counts as not heard."""
+    levels = (-40.0, 0.0)
+    ears = Ears(ANTENNA, receivers={"r1": Receiver(offset_db=60.0)})
+    model = LevelsModel(ANTENNA, levels, 0.1, ears=ears)
+    assert model.limit2_m2[0] == 0.0 < model.limit2_m2[-1]

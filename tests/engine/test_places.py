@@ -188,6 +188,22 @@ def test_silence_of_one_place_counts_less_the_longer_it_was():
     assert alone == pytest.approx(twin, abs=2e-5)  # the reach ends where one packet in 100,000 is heard
 
 
+@pytest.mark.parametrize("rate_hz", [3.0, 30.0, 1000.0])
+def test_the_silence_of_busy_sources_is_a_number_and_counts_less_the_longer_it_was(rate_hz):
+    """That a source of 30 packets a second is not heard for an hour has a probability below the smallest number."""
+    model = LevelsModel(ANTENNA, LEVELS, 0.1)
+    places = PlaceNoise(model, SPREAD, rate_hz)
+    exposure = np.zeros((model.power_db.size, 20, 20))
+    ear = earlier_at(model, [[5.0, 5.0]], [0.0]).ears
+    worth = []
+    for _ in range(60):
+        before = exposure.sum()
+        places.listen(exposure, 0.5, ear, 60.0)
+        worth.append(exposure.sum() - before)
+    assert np.isfinite(exposure).all() and (exposure >= 0.0).all()
+    assert worth[0] > worth[-1] > 0.0
+
+
 def test_neighbours_make_each_other_redundant():
     far = redundancy([np.array([[0.0, 0.0]]), np.array([[500.0, 0.0]])], SPREAD)
     near = redundancy([np.array([[0.0, 0.0]])] * 10, SPREAD)

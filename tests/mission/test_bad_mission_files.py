@@ -57,6 +57,11 @@ SAFETY = "max_speed_m_s = 0.4"
         ("min_separation_m = 1.0", "min_separation_m = 0.0", "safety.min_separation_m"),
         ("min_separation_m = 1.0", "min_separation_m = 1e6", "safety.min_separation_m"),
         ("min_separation_m = 1.0", "min_separation_m = 100.0", "less than the field's 25 m"),
+        (SAFETY, "max_speed_m_s = 1e-9", "safety.max_speed_m_s: .* 0.01"),
+        (SAFETY, f"{SAFETY}\nturn_radius_m = nan", "safety.turn_radius_m"),
+        (SAFETY, f"{SAFETY}\nturn_radius_m = 26.0", "safety.turn_radius_m: .* less than the field's 25 m"),
+        (SAFETY, f"{SAFETY}\nbraking_m = 500.0", "safety.braking_m: .* less than the field's 25 m, got 500"),
+        ("[engine]", "[engine]\narrive_m = 1000.0", "engine.arrive_m: .* less than the field's 25 m"),
         ("power_levels_db = [-8.0", "power_levels_db = [nan", "sources.power_levels_db"),
         ("power_levels_db = [-8.0", "power_levels_db = [-600.0", "sources.power_levels_db"),
         ("seed = 0", "seed = -1", "seed"),
@@ -73,6 +78,13 @@ def test_it_is_refused_with_file_key_and_reason(old: str, new: str, says: str) -
         parsed((old, new))
     assert str(refusal.value).startswith("m.toml: ")
     assert "{" not in str(refusal.value), "no table is poured out in an error"
+
+
+@pytest.mark.parametrize("value", ["[" * 5_000 + "]" * 5_000, "9" * 5_000, "9" * 400])
+def test_what_no_parser_takes_is_refused_in_few_words(value: str) -> None:
+    with pytest.raises(ConfigError) as refusal:
+        parse_mission(f"schema = {value}", "m.toml")
+    assert str(refusal.value).startswith("m.toml: ") and len(str(refusal.value)) < 200
 
 
 def test_the_template_itself_is_good() -> None:

@@ -99,7 +99,7 @@ class LevelsModel:
         squared = (np.arange(int(self.reach_outside_m**2 / self.step2_m2) + 2) + 0.5) * self.step2_m2
         self.hear = np.exp(self.log_hear(np.sqrt(squared), self.level_dbm[:, None]))
         """(h - 1, steps) P(one robot hears) at squared distances (k + 1/2) * step2_m2."""
-        unheard = np.array([np.flatnonzero(row >= UNHEARD)[-1] + 1 for row in self.hear])
+        unheard = np.array([np.flatnonzero(row >= UNHEARD).max(initial=-1) + 1 for row in self.hear])
         self.limit2_m2 = unheard * self.step2_m2
         """(h - 1,) squared distance from which on a source of that power counts as not heard at all."""
         self.hear_known_mean = np.ascontiguousarray(self.hear[: known.size, : _STEPS + 2].mean(axis=0))

@@ -80,13 +80,16 @@ class PlaceNoise:
         )
         margin = mean - self.model.antenna.threshold_dbm - 0.5
         top, below = np.zeros(margin.shape), np.zeros(margin.shape)
+        least = np.ones(margin.shape)
         for deviate, weight in zip(_DEVIATES, _WEIGHTS, strict=True):
             shadowed = (margin + deviate * np.sqrt(self.place_var)) / np.sqrt(self.time_var)
             heard = (1.0 - self.model.tuning.packet_loss) * np.exp(log_ndtr(shadowed))
             silent = weight * np.exp(-rate_hz * heard * spent_s)
             top += heard * silent
             below += silent
-        return np.asarray(top / below)
+            least = np.minimum(least, heard)
+        # So long a silence of so busy a source is too improbable for a number: the deepest shadow is what is left.
+        return np.asarray(np.divide(top, below, out=least, where=below > 0.0))
 
     def listen(self, exposure_s: FloatArray, cell_m: float, ears: FloatArray, duration_s: float) -> None:
         """Add what a stretch of listening by ears (m, columns) counts for, and remember where it was."""
