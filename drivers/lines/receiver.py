@@ -5,7 +5,6 @@ when no line at all has come for so long; without it, it counts as up while its 
 make no sense under its map counts as down too, and says which line and what is missing.
 """
 
-import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -16,7 +15,7 @@ from drivers.lines.maps import MAPS
 from drivers.lines.sources import open_source
 from drivers.links import ByteLink, arrival_ns
 from drivers.options import checked
-from drivers.reconnecting import ReconnectingReceiver
+from drivers.threaded import ThreadedReceiver
 from drivers.timebase import DeviceStamps
 from fieldkit.errors import ConfigError
 from fieldkit.messages import ReceiverState, RssReading
@@ -113,36 +112,26 @@ class LineSplitter:
         return [line for line in lines if line]
 
 
-class LinesReceiver(ReconnectingReceiver):
+class LinesReceiver(ThreadedReceiver):
     """Entering opens the port and reads; nothing is sent."""
 
     def __init__(self, robot: str, options: LinesOptions, line_map: LineMap, around: DriverContext) -> None:
         super().__init__(robot, f"lines of {robot}", around)
         self._options, self._map = options, line_map
         self._link: ByteLink | None = None
-        self._thread: threading.Thread | None = None
-        self._running = threading.Event()
 
     def _open_device(self, first: bool) -> str:
         options = self._options
         # What was printed while the port was away has been missed either way.
         start = options.from_start and first
         self._link = open_source(options.port, options.baud, self._name, from_start=start, tap=self._tap)
-        self._running.set()
         self._split, self._stamps = LineSplitter(), DeviceStamps()
         self._senseless, self._down = 0, False
-        self._thread = threading.Thread(target=self._read, args=(self._link,), name=self._name, daemon=True)
+        self._read_by(self._read, self._link)
         return f"lines from {options.port} as {options.map or self._map.format}"
 
-    def _start(self) -> None:
-        if self._thread is not None:
-            self._thread.start()
-
     def _close_device(self) -> None:
-        self._running.clear()
-        if self._thread is not None and self._thread.is_alive():
-            self._thread.join()
-        self._thread = None
+        self._stop_reading()
         link, self._link = self._link, None
         if link is not None:
             link.close()

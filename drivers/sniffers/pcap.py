@@ -4,7 +4,6 @@ import logging
 import math
 import os
 import select
-import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +12,6 @@ from typing import Any
 
 from drivers.links import READ_TIMEOUT_S
 from drivers.options import checked
-from drivers.reconnecting import ReconnectingReceiver
 from drivers.sniffers.capture import CaptureError, CaptureReader, Packet
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.strength import (
@@ -25,6 +23,7 @@ from drivers.sniffers.strength import (
     from_tap,
     has_real_fcs,
 )
+from drivers.threaded import ThreadedReceiver
 from fieldkit.errors import DeviceError
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
@@ -56,7 +55,7 @@ def open_capture(robot: str, options: Mapping[str, Any], around: DriverContext) 
     return PcapReceiver(robot, checked(PcapOptions, options, f"receiver of {robot} (pcap)"), around)
 
 
-class PcapReceiver(ReconnectingReceiver):
+class PcapReceiver(ThreadedReceiver):
     """Readings carry the capture's own times. Down at a file's end, and when a pipe's writer goes."""
 
     def __init__(self, robot: str, options: PcapOptions, around: DriverContext) -> None:
@@ -64,8 +63,6 @@ class PcapReceiver(ReconnectingReceiver):
         self._options = options
         self._file: int | None = None
         self._is_pipe = False
-        self._thread: threading.Thread | None = None
-        self._running = threading.Event()
         self._pending: list[Packet] = []
         self._damage = ""
         self._last_ns = 0
@@ -90,8 +87,7 @@ class PcapReceiver(ReconnectingReceiver):
         except DeviceError:
             self._close_device()
             raise
-        self._running.set()
-        self._thread = threading.Thread(target=self._read, name=self._name, daemon=True)
+        self._read_by(self._read)
         return f"capture {path.name}"
 
     def _begin(self, wait_s: float) -> None:
@@ -114,15 +110,8 @@ class PcapReceiver(ReconnectingReceiver):
                 raise DeviceError(f"{self._name}: {self._options.port}: {error}") from error
             self._damage = f"not readable any further: {error}"
 
-    def _start(self) -> None:
-        if self._thread is not None:
-            self._thread.start()
-
     def _close_device(self) -> None:
-        self._running.clear()
-        if self._thread is not None and self._thread.is_alive():
-            self._thread.join()
-        self._thread = None
+        self._stop_reading()
         if self._file is not None:
             os.close(self._file)
             self._file = None

@@ -4,7 +4,6 @@ Never verified on the devices themselves: written from the firmwares' documents 
 """
 
 import logging
-import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,11 +11,11 @@ from typing import Any
 
 from drivers.links import ByteLink, UsbIdentity, arrival_ns, open_link, port_of, usb_identity
 from drivers.options import checked
-from drivers.reconnecting import ReconnectingReceiver
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.nrf import NrfText
 from drivers.sniffers.protocol import CHANNELS, Captured, SnifferProtocol
 from drivers.sniffers.ti import TiBinary
+from drivers.threaded import ThreadedReceiver
 from drivers.timebase import DeviceStamps
 from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
 from fieldkit.messages import ReceiverState, RssReading
@@ -79,7 +78,7 @@ def _make(
     return SnifferReceiver(robot, f"{name} of {robot}", options, around, protocol)
 
 
-class SnifferReceiver(ReconnectingReceiver):
+class SnifferReceiver(ThreadedReceiver):
     """Entering starts the capture; closing stops it."""
 
     def __init__(
@@ -95,8 +94,6 @@ class SnifferReceiver(ReconnectingReceiver):
         self._make_protocol = protocol
         self._order = options.order()
         self._link: ByteLink | None = None
-        self._thread: threading.Thread | None = None
-        self._running = threading.Event()
         self._port = options.port
         self._usb: UsbIdentity | None = None
 
@@ -118,20 +115,12 @@ class SnifferReceiver(ReconnectingReceiver):
             raise DeviceError(f"{self._name}: {self._port} takes no commands: {error}") from error
         self._link = link
         self._usb = self._usb or usb_identity(self._port)
-        self._running.set()
-        self._thread = threading.Thread(target=self._read, args=(link,), name=self._name, daemon=True)
+        self._read_by(self._read, link)
         channels = ", ".join(str(channel) for channel in self._order)
         return f"{self._name.split(' of ')[0]} on channel {channels}"
 
-    def _start(self) -> None:
-        if self._thread is not None:
-            self._thread.start()
-
     def _close_device(self) -> None:
-        self._running.clear()
-        if self._thread is not None and self._thread.is_alive():
-            self._thread.join()
-        self._thread = None
+        self._stop_reading()
         link, self._link = self._link, None
         if link is not None:
             try:
