@@ -4,8 +4,8 @@ import math
 from dataclasses import replace
 
 import pytest
+from light import S, light_settings
 
-from fieldkit.engine.grid import Grid
 from fieldkit.messages import (
     EndMission,
     GoTo,
@@ -20,18 +20,12 @@ from fieldkit.messages import (
 from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
 from mission.core.tasks import LATE_LEGS
-from mission.lab.synthetic import small_mission
 from mission.safety.limits import BatteryLimits, RadioLimits
-
-S = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory: pytest.TempPathFactory) -> KernelSettings:
-    kernel = small_mission(tmp_path_factory.mktemp("mission")).kernel
-    # What the belief says is scripted: a coarse grid and a light belief cost nothing.
-    rarely = replace(kernel.engine, planning_period_s=1000.0, grid=Grid(10.0, 10.0, 1.0))
-    return replace(kernel, engine=rarely, belief="spog", max_duration_s=1e6, stop_probability_left=None)
+    return light_settings(tmp_path_factory.mktemp("mission"))
 
 
 class Driven:
