@@ -61,9 +61,7 @@ def check(antenna_file: AntennaFile, readings: Readings) -> Check:
     reasons = []
     if readings.n_places < 3 or not converged:
         state: Literal["holds", "drifted", "too few readings"] = "too few readings"
-        reasons.append(
-            f"{readings.n_places} places: shadowing and drift cannot be told apart; take 5 or more"
-        )
+        reasons.append(f"{readings.n_places} places: shadowing and drift cannot be separated; take 5 or more")
     else:
         reasons = _drifts(offset, offset_95, sigma, sigma_95, antenna.sigma_db)
         state = "drifted" if reasons else "holds"

@@ -1,4 +1,4 @@
-"""Do the clock of the receiver and the clock of the position log agree? The readings themselves tell.
+"""Do the clock of the receiver and the clock of the position log agree? The readings themselves show it.
 
 A receiver on the move that is stamped late seems to hear loudest after it has passed the transmitter. The
 offset under which level falls most regularly with distance is the one there is.

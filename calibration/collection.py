@@ -21,7 +21,7 @@ from fieldkit.messages import RssReading
 HEADER = ("place", "distance_m", "heading_deg", "receiver", "sample", "time", "rss_dbm")
 GOOD_PLACES, GOOD_SPAN_DECADES = 20, 1.2
 PARTLY = (0.1, 0.9)
-"""Share of packets heard at a place that tells about the threshold: neither all nor none."""
+"""Share of packets heard at a place that determines the threshold: neither all nor none."""
 MAX_DRIFT_SLOTS = 64
 """A sequence number farther from what the time says was restarted: the time is taken."""
 

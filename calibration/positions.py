@@ -79,9 +79,7 @@ class PositionFeed:
         east, north = np.subtract(self.transmitter_m, stood)
         distance = float(np.hypot(east, north))
         if distance <= max(MIN_RANGE_M, 2.0 * max(pose.sigma_m for pose in poses)):
-            return (
-                f"{distance:.2f} m from the transmitter, which its positions cannot tell from none: move away"
-            )
+            return f"{distance:.2f} m from the transmitter, which its positions cannot distinguish from none: move away"
         bearing = float(np.degrees(np.arctan2(east, north)))
         return Spot(distance, (bearing - poses[-1].heading_deg) % 360.0)
 

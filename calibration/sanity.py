@@ -65,7 +65,7 @@ def check_rows(table: Table, readings: Readings) -> tuple[Readings, list[str]]:
     """Readings without rows given twice, and warnings in words."""
     warnings: list[str] = []
     if "sample" in table.columns or "time" in table.columns:
-        # Only where something numbers the packets can two equal rows be told from two equal readings.
+        # Only where something numbers the packets can two equal rows be distinguished from two equal readings.
         keys = list(zip(*table.others.values(), strict=True))
         first: dict[tuple[str, ...], int] = {}
         twice = np.array([first.setdefault(key, i) != i for i, key in enumerate(keys)], dtype=bool)

@@ -14,7 +14,7 @@ from calibration.dataset import Readings
 from fieldkit.messages import FloatArray
 
 HARD_JITTER_DB = 0.2
-"""Below this a threshold cannot be told from a sharp one with integer readings."""
+"""Below this a threshold cannot be distinguished from a sharp one with integer readings."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -87,7 +87,7 @@ def stock_throughput(rate_hz: float, duration_s: float, senders: int) -> dict[st
 
 @contextmanager
 def _emulated(rate_hz: float, duration_s: float, senders: int) -> Iterator[Connection]:
-    """A module that sends once told to go. First it says its port, at the end what it sent."""
+    """A module that sends once ordered to go. First it says its port, at the end what it sent."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     child = context.Process(target=_emulate, args=(theirs, rate_hz, duration_s, senders), daemon=True)

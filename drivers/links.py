@@ -152,7 +152,7 @@ def open_link(url: str, baud: int, device: str, tap: Callable[[bytes], None] | N
 
 @dataclass(frozen=True, slots=True)
 class UsbIdentity:
-    """What tells one USB device from another, wherever it is plugged in."""
+    """What distinguishes one USB device from another, wherever it is plugged in."""
 
     vendor: int
     product: int

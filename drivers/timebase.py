@@ -5,7 +5,7 @@ never negative: the smallest difference of the last minute is nearest to the tru
 device's crystal drifts (20 ppm is 1.2 ms a minute).
 
 A device that froze and goes on has a clock that stood still, which looks like a link that has become slow.
-Messages alone cannot tell the two apart: `in_doubt` asks for a round trip, `learn` takes its result.
+Messages alone cannot distinguish the two: `in_doubt` asks for a round trip, `learn` takes its result.
 """
 
 from collections import deque
@@ -45,7 +45,7 @@ class TimeBase:
         return self._late >= INCONSISTENT
 
     def learn(self, offset_ns: int, now_ns: int) -> None:
-        """A round trip has told the offset (mission time minus boot time): what was known before is forgotten."""
+        """A round trip has shown the offset (mission time minus boot time): what was known before is forgotten."""
         self.clear()
         self._buckets.append((now_ns // BUCKET_NS, offset_ns))
 

@@ -96,11 +96,11 @@ def main() -> None:
 
 
 def _unforeseen(error: Exception) -> str:
-    """What a person is told of an error of ours; whoever can mend it finds the rest in a file."""
+    """What a person reads of an error of ours; whoever can mend it finds the rest in a file."""
     import tempfile
     import traceback
 
-    told = f"an error of fieldkit's own: {type(error).__name__}: {error}"
+    said = f"an error of fieldkit's own: {type(error).__name__}: {error}"
     try:
         with tempfile.NamedTemporaryFile(
             "w", prefix="fieldkit-error-", suffix=".txt", delete=False, encoding="utf-8"
@@ -109,5 +109,5 @@ def _unforeseen(error: Exception) -> str:
                 f"fieldkit {__version__}, {sys.version}\n{' '.join(sys.argv)}\n\n{traceback.format_exc()}"
             )
     except OSError:
-        return f"{told}\n{traceback.format_exc()}"
-    return f"{told}; please report it with {file.name}"
+        return f"{said}\n{traceback.format_exc()}"
+    return f"{said}; please report it with {file.name}"

@@ -77,7 +77,7 @@ class ScaledClock:
 
 
 class VirtualClock:
-    """Time that moves only when told: for simulations and replay in a plain loop."""
+    """Time that moves only when it is set: for simulations and replay in a plain loop."""
 
     rate = float("inf")
 

@@ -156,7 +156,7 @@ class VehicleLink(_Opened, Protocol):
         ...
 
     async def take_off(self, robot: str, up_m: float) -> None:
-        """Climb to an altitude above home; returns when it is there. The vehicle is taken over and armed already.
+        """Climb to an altitude above home; returns when it is there. It is under our control and armed already.
 
         Raises `VehicleRefused` (also where it does not fly) or `DeviceTimeout`.
         """

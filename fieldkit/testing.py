@@ -171,7 +171,7 @@ async def _steers_and_holds(bench: VehicleLinkBench) -> None:
         await asyncio.gather(*(link.acquire_control(robot) for robot in link.robots))
         for robot in link.robots:
             await tap.until(_is(robot, "guided"), f"{robot} guided")
-            assert _state(tap.seen, robot).armed, f"{robot} is taken over and not armed"
+            assert _state(tap.seen, robot).armed, f"{robot} is under our control and not armed"
         robot = link.robots[0]
         east_m, north_m = bench.start_m[robot]
         goal = (east_m + 2.0, north_m + 2.0)

@@ -30,7 +30,7 @@ def calibrate(
     cell_m: Annotated[float, typer.Option(min=0.05, help="Distance of the grid's lines.")] = 1.0,
     as_json: AsJson = False,
 ) -> None:
-    """Fit the field to known points: writes the picture with the fitted grid, and tells each point's residual.
+    """Fit the field to known points: writes the picture with the fitted grid, and prints each point's residual.
 
     The points file has `schema = 1` and `points = [[x, y, east, north], ...]`: pixels, then metres; four or more.
 
@@ -82,7 +82,7 @@ def look(
     out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write.")] = Path("camera.png"),
     as_json: AsJson = False,
 ) -> None:
-    """Find robots in one picture, tell where they are, and draw it.
+    """Find robots in one picture, say where they are, and draw it.
 
     Example: fieldkit camera look 0 camera.toml --marker ada=3 --marker bob=7
     """

@@ -1,4 +1,4 @@
-"""Robots by two coloured patches, one ahead and one behind, told from the ground by motion.
+"""Robots by two coloured patches, one ahead and one behind, distinguished from the ground by motion.
 
 A colour alone is also grass, a jacket, a line on the ground: a patch counts if it moved against the learned
 background, or lies where its robot was last believed to be (one that stands still sinks into the background).

@@ -69,7 +69,7 @@ FAULTS: dict[str, Callable[[random.Random], Rewrite]] = {
 
 
 class SkewedClock:
-    """A device's own microseconds: `parts_per_million` too fast, and jumping when told to."""
+    """A device's own microseconds: `parts_per_million` too fast, and jumping on command."""
 
     def __init__(self, now_us: Callable[[], int], parts_per_million: float = 0.0) -> None:
         self._now_us = now_us

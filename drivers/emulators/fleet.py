@@ -69,7 +69,7 @@ class FleetSpec:
 
 @dataclass
 class Target:
-    """A place a rover was told to go to, and has set out for."""
+    """A place a rover was ordered to go to, and has set out for."""
 
     t_s: float
     east_m: float

@@ -14,7 +14,7 @@ WORTH_M = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What a receiver tells at one moment."""
+    """What a receiver reports at one moment."""
 
     t_ns: int
     east_m: float

@@ -24,7 +24,7 @@ class GpsdReader:
         self._rest = b""
 
     def feed(self, data: bytes, at_s: float) -> list[Fix]:
-        """What complete reports tell."""
+        """What complete reports say."""
         *whole, rest = (self._rest + data).split(b"\n")
         self._rest = rest[-LONGEST_REPORT:]
         fixes = []

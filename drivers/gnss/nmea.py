@@ -37,7 +37,7 @@ class NmeaReader:
         """RMC since the last GGA."""
 
     def feed(self, data: bytes, at_s: float) -> list[Fix]:
-        """What complete sentences tell. `at_s` is when they came, by any steady clock."""
+        """What complete sentences say. `at_s` is when they came, by any steady clock."""
         *whole, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
         self._rest = rest[-4 * LONGEST_SENTENCE :]
         fixes = []
@@ -76,7 +76,7 @@ class NmeaReader:
             self._date = str(sentence.date or "")
             speed = _number(sentence.spd)
             self._motion = (at_s, None if speed is None else speed * KNOT_M_S, _number(sentence.cog))
-            # A receiver that sends no GGA tells its place here, and nothing of its quality.
+            # A receiver that sends no GGA gives its place here, and nothing of its quality.
             self._rmc_alone += 1
             alone = at_s - self._gga_s > NO_GGA_S and self._rmc_alone >= NO_GGA_RMC
             return self._fix(sentence, at_s) if alone else None
@@ -100,14 +100,14 @@ class NmeaReader:
             return replace(fix, why_absent=words.get(quality, "its position is simulated"))
         if self._void:
             return replace(fix, why_absent="it says that its position is not valid (RMC)")
-        told_s, sigma = self._sigma
-        if sigma is None or at_s - told_s > FRESH_S:
+        came_s, sigma = self._sigma
+        if sigma is None or at_s - came_s > FRESH_S:
             sigma = None if hdop is None or not 0.0 < hdop < 99.0 else hdop * UERE_M[quality]
         return replace(fix, sigma_m=sigma, alt_m=_number(sentence.alt))
 
     def _fix(self, sentence: Any, at_s: float) -> Fix:
-        told_s, speed, course = self._motion
-        if at_s - told_s > FRESH_S:
+        came_s, speed, course = self._motion
+        if at_s - came_s > FRESH_S:
             speed = course = None
         lat, lon = _number(sentence.lat), _number(sentence.lon)
         why = "no fix yet" if lat is None or lon is None else ""

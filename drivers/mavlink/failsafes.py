@@ -266,7 +266,7 @@ def _turning(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]
 
 
 def _speed(judge: _Judge, firmware: Firmware, demands: Demands) -> list[Check]:
-    """How fast it goes where we do not tell it: in the first moment of each leg, and on its own way home."""
+    """How fast it goes where we do not order it: in the first moment of each leg, and on its own way home."""
     limit = demands.max_speed_m_s
     scale = 0.01 if firmware is COPTER else 1.0
     own = "WPNAV_SPEED" if firmware is COPTER else "MPC_XY_CRUISE" if firmware is PX4 else "WP_SPEED"

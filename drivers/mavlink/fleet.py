@@ -43,7 +43,7 @@ ASK_TIME_EVERY_NS = 5_000_000_000
 """A link that is slow for good is not asked more often."""
 SECOND_STATION_S = 10.0
 REFUSED_MANY = 20
-"""Frames refused before the operator is told: some seconds of one vehicle."""
+"""Frames refused before the operator is informed: some seconds of one vehicle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +255,7 @@ class MavlinkLink:
             self._orders.ask_rates(vehicle)
 
     def _settle_clock(self, steered: Steered, now_ns: int) -> None:
-        """A vehicle that froze and goes on has an old clock; one round trip tells that from a link become slow."""
+        """A vehicle that froze and goes on has an old clock; one round trip separates that from a slow link."""
         due = now_ns - (steered.time_asked or 0) > ASK_TIME_EVERY_NS
         if due and steered.vehicle.clock_in_doubt and steered.vehicle.link_up:
             steered.time_asked = now_ns // 256 * 256 + self._own_id

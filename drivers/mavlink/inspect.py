@@ -24,7 +24,7 @@ CLOCK_WRONG_S = 60.0
 def condition(
     vehicle: Vehicle, now_s: float, asked_s: float = math.inf, max_age_s: float = 2.0
 ) -> list[Check]:
-    """Position, readiness to arm, battery and link, from what it says by itself. Of two nothing else is told.
+    """Position, readiness to arm, battery and link, from what it says by itself. Of two nothing else is reported.
 
     `asked_s` is when it was asked why it would not arm.
     """
@@ -150,5 +150,5 @@ def signing(robot: str, signed: ClockOffset | None, unsigned: ClockOffset | None
         found = "obeys unsigned frames too: anybody in reach can steer it"
         return Check(robot, "signing", "amber", found, remedy)
     if signed is None:
-        return Check(robot, "signing", "amber", "cannot be told: it does not answer TIMESYNC")
+        return Check(robot, "signing", "amber", "cannot be determined: it does not answer TIMESYNC")
     return Check(robot, "signing", "green", "answers signed frames alone")

@@ -35,7 +35,7 @@ class Firmware:
     home: tuple[int, ...]
     land: tuple[int, ...] = ()
     overshoot: float = 1.0
-    """How much faster than it is told it gets for a moment: it is told that much less, for a limit is a limit."""
+    """How much faster than ordered it gets for a moment: it is ordered that much less, for a limit is a limit."""
 
     def meaning(self, custom_mode: int) -> VehicleMode:
         """Our word for a mode number; where guided and hold share one (PX4), `hold`."""
@@ -56,9 +56,9 @@ class Firmware:
 
 
 ROVER = Firmware("ArduRover", guided=(15,), hold=(4,), home=(11, 12), overshoot=1.25)
-"""Simulated 4.7.0-dev: 1.23 m/s told 1.0, 1.88 m/s told 1.5, for its speed controller has an integrator."""
+"""Simulated 4.7.0-dev: 1.23 m/s ordered 1.0, 1.88 m/s ordered 1.5, for its speed controller has an integrator."""
 COPTER = Firmware("ArduCopter", guided=(4,), hold=(17, 5), home=(6, 21), land=(9,), overshoot=1.05)
-"""Simulated 4.7.0-dev: 1.55 m/s told 1.5."""
+"""Simulated 4.7.0-dev: 1.55 m/s ordered 1.5."""
 PX4 = Firmware(
     "PX4", guided=(_PX4_LOITER, _PX4_TAKEOFF), hold=(_PX4_LOITER,), home=(_PX4_RETURN,), land=(_PX4_LAND,)
 )

@@ -308,7 +308,7 @@ class Orders:
         raise DeviceTimeout(self._not_shown(vehicle, mode))
 
     async def _ask_mode(self, vehicle: Vehicle, mode: VehicleMode) -> None:
-        """Ask once. No answer is no error here: the heartbeat tells."""
+        """Ask once. No answer is no error here: the heartbeat shows it."""
         firmware = vehicle.firmware
         if firmware is None:
             return

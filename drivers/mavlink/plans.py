@@ -173,7 +173,7 @@ class PlanTalk:
             message = await self._next(FIRST_WAIT_S)
             if message is not None and message.get_type() == "MISSION_ACK" and message.type == 0:
                 return
-        raise DeviceTimeout(f"{self.robot}: does not answer when told to clear its {NAMES[self.kind]}")
+        raise DeviceTimeout(f"{self.robot}: does not answer when ordered to clear its {NAMES[self.kind]}")
 
     async def download(self) -> list[PlanItem]:
         """What the vehicle holds. Raises `DeviceTimeout`."""

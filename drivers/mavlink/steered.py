@@ -46,12 +46,12 @@ class Steered:
     rates_asked_s: float = -math.inf
     waypoint: Waypoint | None = None
     must_hold: bool = False
-    """It was told to hold, and nothing else since: told again while it still drives where we sent it."""
+    """It was ordered to hold, and nothing else since: ordered again while it still drives where we sent it."""
     hold_unseen_until_s: float = -math.inf
     """Until then a hold that it has not shown yet is repeated, whatever mode it is in."""
     hold_ordered_s: float = -math.inf
     hold_seen: int = 0
-    """Heartbeats heard when it was told: only a later one can show the hold."""
+    """Heartbeats heard when it was ordered: only a later one can show the hold."""
     inboxes: list[Inbox] = field(default_factory=list)
     time_asked: int | None = None
     """The mark of a TIMESYNC that is to settle a doubt in its clock."""
@@ -102,7 +102,7 @@ def must_be_ours(vehicle: Vehicle) -> None:
     if not vehicle.link_up:
         raise DeviceTimeout(f"{vehicle.robot}: its link is lost")
     if vehicle.owner != "us":
-        why = (vehicle.owner == "lost" and vehicle.lost_because) or "it was not taken over"
+        why = (vehicle.owner == "lost" and vehicle.lost_because) or "its control was not acquired"
         raise VehicleRefused(f"{vehicle.robot}: not ours to steer: {why}")
     if not vehicle.armed:
         raise VehicleRefused(f"{vehicle.robot}: is disarmed")

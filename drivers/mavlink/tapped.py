@@ -44,7 +44,7 @@ class TappedTransport:
         await self._transport.open(copied)
 
     def send(self, data: bytes, peer: Peer) -> None:
-        """Send, and tell."""
+        """Send, and report it."""
         self._copy("out", data)
         self._transport.send(data, peer)
 

@@ -293,7 +293,7 @@ class Vehicle:
 
     @property
     def clock_in_doubt(self) -> bool:
-        """It may have stood still: everything it says looks old. Only a round trip can tell that from a slow link."""
+        """It may have stood still: everything it says looks old. Only a round trip separates that from a slow link."""
         return self._time.in_doubt
 
     def clock_measured(self, sent_ns: int, theirs_ns: int, received_ns: int) -> None:
@@ -327,7 +327,7 @@ class Vehicle:
             self.commanded, self._confirmed = mode, False
 
     def words_since(self, then_s: float) -> str:
-        """What it has complained of since then, for an error message; chatter (notices, information) is not told."""
+        """What it has complained of since then, for an error message; chatter (notices, information) is left out."""
         worst = mavlink.MAV_SEVERITY_WARNING
         return "; ".join(text for t_s, text, severity in self.texts if t_s >= then_s and severity <= worst)
 

@@ -41,7 +41,7 @@ class PeopleLink:
     def __init__(self, robots: tuple[str, ...], around: DriverContext) -> None:
         self.robots = robots
         self.advice: dict[str, Waypoint | None] = dict.fromkeys(robots)
-        """Where each person is told to go; None: stay."""
+        """Where each person is ordered to go; None: stay."""
         self._clock = around.clock
         self._mode: dict[str, VehicleMode] = dict.fromkeys(robots, "other")
 

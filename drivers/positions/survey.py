@@ -268,7 +268,7 @@ def as_geojson(result: Result, track: Track) -> dict[str, Any]:
         features.append(
             {"type": "Feature", "geometry": {"type": "Point", "coordinates": place}, "properties": each}
         )
-        # Each outline and each hole as a polygon of its own: a hole's own direction tells it (RFC 7946, 3.1.6).
+        # Each outline and each hole as a polygon of its own: a hole's own direction marks it (RFC 7946, 3.1.6).
         features.append(
             {
                 "type": "Feature",

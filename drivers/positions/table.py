@@ -116,7 +116,7 @@ def read_table(path: Path) -> Table:
     rows, at, repeated = [], [], 0
     seen: set[tuple[str | None, ...]] = set()
     for (number, _), row in zip(numbered[1:], reader, strict=False):
-        # What is not one of our columns may tell two rows apart.
+        # What is not one of our columns may distinguish two rows.
         whole = tuple(row[name] for name in reader.fieldnames or ())
         if whole in seen:
             repeated += 1
@@ -171,7 +171,7 @@ def number(row: dict[str, str], name: str) -> float | None:
 
 
 def _epoch_unit(table: Table) -> float:
-    """Nanoseconds of the unit in which plain numbers tell the time: by their size, for the whole file."""
+    """Nanoseconds of the unit in which plain numbers give the time: by their size, for the whole file."""
     for row in table.rows:
         try:
             value = abs(float(row.get("time_s") or row.get("time") or ""))

@@ -1,4 +1,4 @@
-"""What an IEEE 802.15.4 frame says of its sender: enough of the MAC header to tell transmissions apart.
+"""What an IEEE 802.15.4 frame says of its sender: enough of the MAC header to distinguish transmissions.
 
 Frame control, sequence number, addressing: IEEE 802.15.4-2015, 7.2. The check sequence is CRC-16 of
 polynomial 0x1021, reflected, start value 0 (7.2.10).

@@ -27,7 +27,7 @@ class NrfText:
         self._time = Unwrap32()
 
     def start(self, channel: int) -> list[bytes]:
-        # With echo on the shell repeats the next command, which tells it from anything else.
+        # With echo on the shell repeats the next command, which distinguishes it from anything else.
         return [b"shell echo on\r\n", b"sleep\r\n", b"shell echo off\r\n", *self.tune(channel)]
 
     def tune(self, channel: int) -> list[bytes]:

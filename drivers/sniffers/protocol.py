@@ -1,4 +1,4 @@
-"""What a sniffer's serial protocol has to tell: commands to send, captured frames to find in the bytes."""
+"""What a sniffer's serial protocol has to say: commands to send, captured frames to find in the bytes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -141,7 +141,7 @@ class SnifferReceiver(ThreadedReceiver):
             data = link.read()
             got = got or bool(data)
             for _ in self._protocol.feed(data):
-                pass  # captured before anybody was told that it listens
+                pass  # captured before it was announced that it listens
         if self._protocol.recognised:
             return
         where = f"{self._port} at {self._options.baud} baud"

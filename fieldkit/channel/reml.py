@@ -1,7 +1,7 @@
 """The spread of a channel from readings of transmitters at known places: restricted maximum likelihood.
 
 The means of power, exponent and elevation are integrated out (Patterson and Thompson, Biometrika 58, 1971), so
-that few transmitters do not make the spread too small. Weak priors keep what the readings cannot tell at ordinary
+that few transmitters do not make the spread too small. Weak priors keep what the readings do not determine at ordinary
 values; the curvature at the optimum says how well each parameter is known.
 """
 

@@ -82,7 +82,7 @@ def nearest_m(one: Driven, other: Driven, one_late_s: float = 0.0, other_late_s:
 
 
 def keep_apart_m(one: Driven, other: Driven) -> float:
-    """A distance they cannot come nearer than, whatever their speeds: quickly told, and rarely more than needed."""
+    """A distance they cannot come nearer than, whatever their speeds: quickly computed, and rarely more than needed."""
     return math.dist(one.start_m, other.start_m) - one.length_m - other.length_m
 
 

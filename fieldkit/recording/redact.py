@@ -40,7 +40,7 @@ def redact(path_in: Path, path_out: Path, *, keep_place: bool = False) -> dict[s
             return _without_address(message.data, salt, count)
         if channel.topic in ("/in/vehicle", "/in/receiver", "/note"):
             return _without_text(message.data, channel.topic, count)
-        # What a viewer shows of the notes would tell it all the same.
+        # What a viewer shows of the notes would reveal it all the same.
         return None if channel.topic == "/view/log" else message.data
 
     def edit_header(header: dict[str, Any]) -> dict[str, Any]:

@@ -173,7 +173,7 @@ def car_sized(east_m: float, north_m: float, heading_deg: float = 0.0) -> Car:
 
 
 def car_for(east_m: float, north_m: float, heading_deg: float, max_speed_m_s: float) -> Car:
-    """A rover as large as its speed tells: at 0.4 m/s one for a room, from 1.5 m/s on about a simulator's.
+    """A rover as large as its speed suggests: at 0.4 m/s one for a room, from 1.5 m/s on about a simulator's.
 
     What turns wide, rests off its way-point and rolls on grows with the speed, as it does from robot to robot.
     """
@@ -190,7 +190,7 @@ def car_for(east_m: float, north_m: float, heading_deg: float, max_speed_m_s: fl
 
 @dataclass(slots=True)
 class Copter(Body):
-    """A copter: flies straight to a point at a height, brakes, and comes down where it is told to."""
+    """A copter: flies straight to a point at a height, brakes, and comes down where it is ordered to."""
 
     max_speed_m_s: float = 10.0
     max_accel_m_s2: float = 1.0

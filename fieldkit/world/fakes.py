@@ -1,6 +1,6 @@
 """Stand-ins for the ports, in process: a radio that is a queue, vehicles that simply drive.
 
-They pass the same conformance suite as the drivers, so that a mission cannot tell them apart but by speed.
+They pass the same conformance suite as the drivers, so that a mission cannot distinguish them but by speed.
 """
 
 import asyncio
@@ -79,7 +79,7 @@ class FakeReceiver:
 
 
 class FakeFleet:
-    """A `VehicleLink` whose vehicles are `Rover`s stepped by a task; they always obey once taken over."""
+    """A `VehicleLink` whose vehicles are `Rover`s stepped by a task; they always obey once control is acquired."""
 
     def __init__(self, rovers: Mapping[str, Rover], clock: Clock) -> None:
         self.robots = tuple(rovers)

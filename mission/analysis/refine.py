@@ -1,7 +1,7 @@
 """Each source once more, after the fact: place and power by weighted maximum likelihood, with their covariance.
 
-The engine believes on a grid and in steps of power. Afterwards all detections are there at once, so that an estimate
-between cells is worth making. Detections are shared out over the sources by what each would have led to (EM); each
+The engine believes on a grid and in steps of power. Afterwards all detections are there at once, so that the
+estimate can lie between cells. Detections are shared out over the sources by what each would have led to (EM); each
 source is then where its share is most likely (RWA section VI.C, whose readings are weighted likewise). The likelihood
 is the engine's: what was heard, what was heard at the receiver's ceiling, and who listened and heard nothing
 (`fieldkit.engine.likelihood.levels`), with the gain towards the source where the antenna has a pattern. The

@@ -19,7 +19,7 @@ from mission.analysis.refine import Fit, Refined, model_fit, refine
 from mission.analysis.use import stretches, use
 
 FEW_RECEPTIONS = 3.0
-"""A source with fewer is not refined: three numbers cannot be told from so little."""
+"""A source with fewer is not refined: three numbers cannot be estimated from so little."""
 
 
 def write_report(log: Path, out: Path) -> dict[str, Any]:

@@ -13,11 +13,11 @@ from mission.cli.options import (
     JsonOption,
     PageOption,
     PortOption,
+    informed_maps,
     print_json,
     run_folder,
     say,
     shown_page,
-    told_maps,
 )
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def run(
     say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
     with (
         shown_page(mission, page, page_host, page_port) as shown,
-        told_maps(mission) as others,
+        informed_maps(mission) as others,
         Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
     ):
         log = folder / "mission.mcap"

@@ -70,8 +70,8 @@ def stay_open(shown: "LivePage | None", runner: "Runner") -> None:
 
 
 @contextmanager
-def told_maps(mission: "Mission") -> "Iterator[tuple[Follower, ...]]":
-    """Whoever the mission file says is to be told by Cursor on Target."""
+def informed_maps(mission: "Mission") -> "Iterator[tuple[Follower, ...]]":
+    """Whoever the mission file says is to be informed by Cursor on Target."""
     table = mission.file.maps
     if not table.cot:
         yield ()

@@ -11,11 +11,11 @@ from mission.cli.options import (
     JsonOption,
     PageOption,
     PortOption,
+    informed_maps,
     run_folder,
     say,
     shown_page,
     stay_open,
-    told_maps,
 )
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def walk(
     warm_up(mission)
     say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
     with shown_page(mission, page, page_host, page_port) as shown:
-        with told_maps(mission) as others, Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
+        with informed_maps(mission) as others, Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
             runner = fly(mission, setup, folder / "mission.mcap", watch.show, page=shown, others=others)
         print_flown(runner, folder, as_json=as_json)
         stay_open(shown, runner)

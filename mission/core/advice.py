@@ -5,7 +5,7 @@ import numpy as np
 from mission.core.mission_file import Mission
 
 SATELLITE_GAP_S = 1.5
-"""Most satellite receivers tell their position once a second, now and then a little late."""
+"""Most satellite receivers report their position once a second, now and then a little late."""
 
 
 def advise(mission: Mission) -> list[str]:

@@ -152,7 +152,7 @@ class EngineTable(Table):
     found_probability: float = value(given.FOUND_PROBABILITY)
     min_receptions: float = value(given.MIN_RECEPTIONS)
     place_noise: Flag = True
-    """`intensity`: condition readings of one place on each other, as the antenna file's `channel` table tells."""
+    """`intensity`: condition readings of one place on each other, as the antenna file's `channel` table says."""
     found_within_m: Annotated[float, Field(strict=True, gt=0, le=1e5, allow_inf_nan=False)] | None = None
     """A find is this near; without it 2 m or a tenth of the typical range, or without `place_noise` within one cell."""
     planning_period_s: float = value(given.PLANNING_PERIOD_S)
@@ -197,7 +197,7 @@ class RecordingTable(Table):
 
 
 class MapsTable(Table):
-    """Whom else the mission tells what it knows; nobody unless it is said here."""
+    """Whom else the mission informs; nobody unless it is said here."""
 
     cot: Annotated[tuple[str, ...], Field(max_length=8)] = ()
     """Cursor on Target: udp://239.2.3.1:6969 (what ATAK listens to by itself), udp://HOST:PORT, tcp://HOST:PORT."""

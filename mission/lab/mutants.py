@@ -171,7 +171,7 @@ def _code(tree: ast.Module) -> Iterator[Any]:
         if not isinstance(function, ast.FunctionDef):
             continue
         body = function.body[1:] if ast.get_docstring(function) else function.body
-        # `strict=True` of a `zip` asserts what holds for every input: no test can tell it from False.
+        # `strict=True` of a `zip` asserts what holds for every input: no test can distinguish it from False.
         asserted = {
             id(k.value) for k in ast.walk(function) if isinstance(k, ast.keyword) and k.arg == "strict"
         }

@@ -176,7 +176,7 @@ async def _opened(address: str) -> Any:
 
 
 async def _drain(reader: asyncio.StreamReader) -> None:
-    """A server tells what others see; nobody here asks. Ends when it closes."""
+    """A server sends what others see; nobody here asks. Ends when it closes."""
     with contextlib.suppress(OSError):
         while await reader.read(65_536):
             pass

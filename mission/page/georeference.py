@@ -1,6 +1,6 @@
 """Where a picture's pixels are on Earth: from its world file, or from the tags of a GeoTIFF.
 
-A world file has six numbers a line each and says nothing of the coordinates it is in: degrees are told by themselves,
+A world file has six numbers a line each and says nothing of the coordinates it is in: degrees are recognised,
 all else must be named. GeoTIFF tags: OGC 19-008r4.
 """
 

@@ -57,7 +57,7 @@ class SafetySettings:
     call_after_s: float = given.CALL_AFTER_S.default
     battery: BatteryLimits = field(default_factory=BatteryLimits)
     braking_m: float = 0.0
-    """How far a robot rolls on after it was told to hold."""
+    """How far a robot rolls on after it was ordered to hold."""
     turn_radius_m: float = given.TURN_RADIUS_M.default
     """The circle that robots on wheels turn in; 0: they turn on the spot."""
     altitude_m: Mapping[str, float] = field(default_factory=dict, hash=False)

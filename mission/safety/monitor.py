@@ -78,7 +78,7 @@ class Watched:
     progress_ns: int = LONG_AGO_NS
     """Where and when it was last seen to get on."""
     fading: Segment | None = None
-    """The segment it was on when it was told to stop."""
+    """The segment it was on when it was ordered to stop."""
     stopped_ns: int = LONG_AGO_NS
     now_ns: int = 0
     """The last tick."""
@@ -127,7 +127,7 @@ class Watched:
     def segment(self) -> Segment | None:
         """What is left of its segment; None where its place is not known.
 
-        One that was told to stop is taken to drive on until it says that it holds, or for `FADING_S`.
+        One that was ordered to stop is taken to drive on until it says that it holds, or for `FADING_S`.
         """
         here = self.place_m
         if here is None:
@@ -138,7 +138,7 @@ class Watched:
         return standing(here) if drives is None else Segment(here, drives.end_m, drives.speed_m_s)
 
     def segments(self) -> tuple[Segment, ...]:
-        """All that it may be doing: one told to stop may have stopped already, or drive on."""
+        """All that it may be doing: one ordered to stop may have stopped already, or drive on."""
         segment, here = self.segment(), self.place_m
         if segment is None or here is None:
             return ()
@@ -155,7 +155,7 @@ class Watched:
         if (self.now_ns - self.pose.t_ns) * 1e-9 <= settings.pose_timeout_s:
             return None
         if drives is None and (self.pose.t_ns - self.stopped_ns) * 1e-9 < FADING_S:
-            drives = self.fading  # told to stop, and not seen to stand
+            drives = self.fading  # ordered to stop, and not seen to stand
         if drives is None:
             return None
         segment = Segment(here, drives.end_m, drives.speed_m_s)
@@ -182,7 +182,7 @@ class Watched:
 
     @property
     def heading_deg(self) -> float | None:
-        """Where it looks, clockwise from north: as it says, or as it drives; None where neither tells."""
+        """Where it looks, clockwise from north: as it says, or as it drives; None where neither shows it."""
         if self.pose is not None and self.says_heading:
             return self.pose.heading_deg
         if math.hypot(*self.velocity_m_s) < SLOW_M_S:
@@ -271,7 +271,7 @@ class Watched:
         self.target, self.ours = segment, True
 
     def stop(self) -> None:
-        """It has been told to hold."""
+        """It has been ordered to hold."""
         if self.target is not None:
             self.fading, self.stopped_ns = self.target, self.now_ns
         self.target = None

@@ -47,7 +47,7 @@ class _Trip:
     by_itself: bool = False
     """By the vehicle's own return."""
     lands: bool = False
-    """It is home and was told to land."""
+    """It is home and was ordered to land."""
 
     @property
     def goal_m(self) -> Place:
@@ -99,7 +99,7 @@ class ReturnSequence:
         }
 
     def step(self, robots: Mapping[str, Watched], settings: SafetySettings, now_ns: int) -> list[Command]:
-        """What to tell whom now."""
+        """What to order whom now."""
         commands: list[Command] = []
         for name in list(self.under_way):
             commands += self._go_on(robots[name], settings, now_ns)
@@ -156,7 +156,7 @@ class ReturnSequence:
         return []
 
     def _land(self, robot: Watched, trip: _Trip, now_ns: int) -> list[Command]:
-        """Above its home: told to land until it does; done when it stands or has switched its motors off."""
+        """Above its home: ordered to land until it does; done when it stands or has switched its motors off."""
         vehicle = robot.vehicle
         if vehicle is not None and vehicle.link_up and (vehicle.on_ground or not vehicle.armed):
             self.forget(robot.name)
@@ -180,7 +180,7 @@ class ReturnSequence:
         return [CallOperator(now_ns, robot.name, f"it does not get on on its way home: {trip.reason}")]
 
     def _is_home(self, robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int) -> bool:
-        """Near where it started, and come to rest: one told to hold while it still drives would roll past."""
+        """Near where it started, and come to rest: one ordered to hold while it still drives would roll past."""
         near_m = max(0.3, settings.near_m)
         if trip.leg < len(trip.path) - 1 or math.dist(_seen_at(robot), trip.goal_m) > near_m:
             trip.near_ns = None
@@ -216,7 +216,7 @@ class ReturnSequence:
         return True
 
     def _give_up(self, robots: Mapping[str, Watched], now_ns: int) -> list[Command]:
-        """Nobody is under way and nobody can set out: those that could be told to go stay, and somebody is asked."""
+        """Nobody is under way and nobody can set out: those that could be ordered to go stay, and somebody is asked."""
         commands: list[Command] = []
         for name, reason in list(self.waiting.items()):
             if _place_of(robots[name]) is None:
@@ -237,7 +237,7 @@ def _ways(robot: Watched, path: Sequence[Place], settings: SafetySettings) -> li
 
 
 def _place_of(robot: Watched) -> Place | None:
-    """Where a robot is that can be told to go home; None of one that was never seen, is not heard, or is not ours."""
+    """Where a robot is that can be ordered to go home; None if it was never seen, is not heard, or is not ours."""
     heard = robot.vehicle is None or robot.vehicle.link_up
     return None if robot.somebody_elses or not heard else robot.place_m
 
@@ -269,7 +269,7 @@ def _order(robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int) -
 
 
 def _goes_elsewhere(robot: Watched, trip: _Trip) -> bool:
-    """Its vehicle says that it does something else than it was told."""
+    """Its vehicle says that it does something else than it was ordered."""
     if robot.vehicle is None or not robot.vehicle.link_up:
         return False
     return robot.vehicle.mode != ("return" if trip.by_itself else "guided")

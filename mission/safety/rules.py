@@ -129,7 +129,7 @@ class Safety:
         return judged
 
     def _note(self, command: Command) -> None:
-        """Remember what a robot was told."""
+        """Remember what a robot was ordered."""
         robot = self.robots.get(getattr(command, "robot", ""))
         if robot is None:
             return

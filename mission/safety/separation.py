@@ -1,6 +1,6 @@
 """How near robots come to each other: on new segments before they are given, and while they drive. Pure.
 
-A robot may still be doing what it was told before: its occupancy holds all that is possible. One whose position is
+A robot may still be doing what it was ordered before: its occupancy holds all that is possible. One whose position is
 old may be anywhere on what it can have driven since. Robots that fly one above the other do not meet. One on wheels
 turns wide: it swings to the side before it is on its way, towards a neighbour too.
 """
@@ -35,7 +35,7 @@ SLACK_M = 1e-6
 CLEAR_OF_NEAR = 1.2
 """A new path keeps so many times the distance that is too near, and two that were too near part as far."""
 SOON_S = 4.0
-"""How far ahead robots under way are watched: time to tell one to stop over a poor link."""
+"""How far ahead robots under way are watched: time to order one to stop over a poor link."""
 ALOFT_SHARE = 0.7
 """Robots keep their layers to within this share of the vertical separation: a gust is not a descent."""
 

@@ -118,7 +118,7 @@ class Dispatcher:
             self.thaw(robots)
 
     def unconfirmed(self) -> dict[str, float]:
-        """Robots that were told to stop and have not shown it, and for how many seconds."""
+        """Robots that were ordered to stop and have not shown it, and for how many seconds."""
         now_s = self._clock.elapsed_s()
         return {
             robot: now_s - current.since_s
@@ -137,7 +137,7 @@ class Dispatcher:
     async def acquire(self, robots: Iterable[str] | None = None) -> None:
         """Make vehicles ours and have them armed; None: all of them. Raises what one that refuses raises.
 
-        One that is told to stop meanwhile is not acquired, which is no error: the stop came later.
+        One that is ordered to stop meanwhile is not acquired, which is no error: the stop came later.
         """
         names = list(self.link_of if robots is None else robots)
         for name in names:
@@ -167,7 +167,7 @@ class Dispatcher:
                 waiting = {task for task in waiting if not task.done()}
         for task in (given_up, late):
             task.cancel()
-        self._note("info", f"told to hold: {', '.join(names) or 'nobody'}: {reason}")
+        self._note("info", f"ordered to hold: {', '.join(names) or 'nobody'}: {reason}")
         silent = sorted(set(names) & self.unconfirmed().keys())
         if silent:
             text = f"NOT CONFIRMED to hold: {', '.join(silent)}: stop by hand, by remote control or switch"

@@ -12,7 +12,7 @@ NEARBY_DEG = 0.01
 
 
 async def first_fix(port: str, patience_s: float) -> tuple[float, float]:
-    """Latitude and longitude of the first position worth believing. Raises `DeviceError`."""
+    """Latitude and longitude of the first position that is plausible. Raises `DeviceError`."""
     # A local frame needs an origin; any does for reading a latitude and longitude back out of it.
     frame = FieldFrame(0.0, 0.0)
     source = plugins.load("fieldkit.positions", "gnss")(

@@ -35,7 +35,7 @@ def fly(
 ) -> Runner:
     """Run a mission on a setup with a recording; the runner, ended. The recording is closed whatever happens.
 
-    `others` are told everything that is recorded, beside the page. `on_start` is given the runner before it runs.
+    `others` are given everything that is recorded, beside the page. `on_start` is given the runner before it runs.
     With `past`, the recording of a mission that was interrupted, it goes on from there; the new recording holds all.
     """
     metadata: dict[str, Any] = {

@@ -26,7 +26,7 @@ class Look:
 
 
 class Follower(Protocol):
-    """Somebody who is told everything in order: a `RecordingWriter`, the live page."""
+    """Somebody who is given everything in order: a `RecordingWriter`, the live page."""
 
     def event(self, inbox_number: int, log_time_ns: int, event: Event) -> None: ...
 

@@ -2,8 +2,8 @@
 
 Every event gets its inbox number, is recorded, then stepped; nothing reaches a vehicle but through safety and the
 dispatcher. The heartbeat to the vehicles leaves from the steering loop, so that it stops when steering stops. However
-a mission ends (finished, a signal, an error), the vehicles are told to hold until they show it, those that do not are
-named, and the recording is closed.
+a mission ends (finished, a signal, an error), the vehicles are ordered to hold until they show it, those that do not
+are named, and the recording is closed.
 
 A robot for which safety calls the operator is withdrawn: that too goes through the inbox, so that a replay knows it.
 """
@@ -323,7 +323,7 @@ class Runner:
         for robot in robots:
             vehicle = self.safety.robots[robot].vehicle
             if event.action == "resume" and (vehicle is None or vehicle.mode != "guided"):
-                # A vehicle that its own failsafe, or somebody else, has had must be taken over anew.
+                # A vehicle that its own failsafe, or somebody else, has had needs its control acquired anew.
                 self.dispatcher.order(robot, ACQUIRE)
             elif event.action == "release":
                 self.dispatcher.order(robot, RELEASE)

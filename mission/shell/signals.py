@@ -1,7 +1,7 @@
 """SIGINT, SIGTERM and SIGHUP stop a mission, and nothing stops the stop.
 
-The first one ends the mission: every vehicle is told to hold until it shows it. A second one changes nothing and says
-who has not shown it yet. A third one leaves, naming them. SIGHUP comes when a terminal closes or ssh drops: the
+The first one ends the mission: every vehicle is ordered to hold until it shows it. A second one changes nothing and
+says who has not shown it yet. A third one leaves, naming them. SIGHUP comes when a terminal closes or ssh drops: the
 vehicles must not learn of it later than the operator.
 
 A terminal does not suspend a mission either: nobody would steer. Ctrl-Z holds all robots, and the mission goes on; one

@@ -32,7 +32,7 @@ class Start:
     async def until_heard(self, kernel: Kernel, resumed_ns: int, waited: Callable[[int], None]) -> set[str]:
         """Robots still not heard when the time to wait is over. A mission that begins waits for all of them.
 
-        A resumed one goes on without those. `waited` is told the time while nothing comes. Raises `DeviceTimeout`.
+        A resumed one goes on without those. `waited` is given the time while nothing comes. Raises `DeviceTimeout`.
         """
         deadline_s = self.clock.elapsed_s() + READY_TIMEOUT_S
         while missing := _missing(kernel, resumed_ns):

@@ -81,7 +81,7 @@ def _found(progress: Progress) -> tuple[int, int]:
 
 
 def _teams(progress: Progress) -> list[tuple[str, str]]:
-    """Team to what its robots are doing; told apart where they differ. Robots that are held have rows of their own."""
+    """Team to what its robots are doing; one by one where they differ. Held robots have rows of their own."""
     rows = []
     for team in progress.kernel.settings.engine.teams:
         doing = {robot: progress.doing.get(robot, "waiting") for robot in team}

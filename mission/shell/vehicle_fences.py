@@ -1,7 +1,7 @@
 """The fences that a mission puts into its vehicles, where its file asks for that, and what they held before.
 
-What was there is told to `note` before it is replaced, and put back by `restore`: nobody's own fence is gone. A mission
-that goes on after a kill `remember`s what the notes say, since what the vehicle holds by then is the mission's.
+What was there is given to `note` before it is replaced, and put back by `restore`: nobody's own fence is gone. A
+mission that goes on after a kill `remember`s what the notes say, since what the vehicle holds by then is the mission's.
 """
 
 import asyncio

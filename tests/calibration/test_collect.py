@@ -239,7 +239,7 @@ def test_a_rover_that_moves_is_silent_or_stands_at_the_transmitter_gives_no_plac
     places, said = tracked(tmp_path / "r.csv", steps, transmitter=(0.0, 0.0))
     text = " / ".join(said)
     assert places == []
-    assert "moved by" in text and "no position came" in text and "cannot tell from none" in text
+    assert "moved by" in text and "no position came" in text and "cannot distinguish from none" in text
     assert "'what' is no answer" in text
 
 

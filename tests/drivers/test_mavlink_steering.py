@@ -60,7 +60,7 @@ async def test_must_never_send_latitude_0_longitude_0():
 
 async def test_must_not_steer_what_was_not_taken_over():
     async with team() as t:
-        with pytest.raises(VehicleRefused, match="not taken over"):
+        with pytest.raises(VehicleRefused, match="control was not acquired"):
             await t.link.goto("ada", here())
         assert t.rovers[0].autopilot.mode == HOLD
 

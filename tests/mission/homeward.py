@@ -48,7 +48,7 @@ class Team:
 
 
 def leaving(far: Place = (5.0, 35.0), home: Place = (5.0, 5.0), settings: SafetySettings = LIMITS) -> Team:
-    """One robot, just told to go home from far away."""
+    """One robot, just ordered to go home from far away."""
     team = Team(settings, a=home)
     team.put("a", far)
     team.sequence.ask("a", "low")

@@ -1,4 +1,4 @@
-"""At the end nothing hangs in the air, and nobody is told to hold while its motors are stopping."""
+"""At the end nothing hangs in the air, and nobody is ordered to hold while its motors are stopping."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The page without a browser: what is kept for a slow one, what is folded from the stream, who may ask."""
+"""The page without a browser: what is kept for a slow one, what is built up from the stream, who may ask."""
 
 import socket
 from pathlib import Path

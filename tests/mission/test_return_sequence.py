@@ -383,7 +383,7 @@ def test_ground_closed_behind_or_below_one_that_lands_stops_nobody() -> None:
 
 
 def landing() -> Team:
-    """One that flies, above its home and just told to land."""
+    """One that flies, above its home and just ordered to land."""
     team = leaving(settings=replace(LIMITS, altitude_m={"a": 12.0}))
     team.put("a", (5.0, 5.2), 12.0)
     assert team.step(100.0) == [Land(team.now_ns, "a", "it is home: low")]

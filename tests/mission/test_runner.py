@@ -63,7 +63,9 @@ def test_a_mission_takes_over_steers_and_ends_with_all_holding(tmp_path: Path) -
     fleet = setup.links[0]
     assert isinstance(fleet, FakeFleet)
     assert set(fleet._mode.values()) == {"hold"}
-    assert 2 * 40 <= fleet.beats <= 2 * 40 + 12, "two a second, and some while it is taken over and let go"
+    assert 2 * 40 <= fleet.beats <= 2 * 40 + 12, (
+        "two a second, and some while control is acquired and released"
+    )
     steered = {
         c.robot for _, _, _, c in open_recording(tmp_path / "mission.mcap").commands() if isinstance(c, GoTo)
     }

@@ -1,4 +1,4 @@
-"""A vehicle's stored fence is changed only when the mission file asks, is told before, and is given back."""
+"""A vehicle's stored fence is changed only when the mission file asks, is reported before, and is given back."""
 
 import asyncio
 import json

@@ -79,5 +79,5 @@ def test_ctrl_c_holds_the_vehicles_and_closes_the_recording(tmp_path: Path) -> N
     recording = open_recording(log)
     assert recording.complete
     notes = [note.text for _, note in recording.notes()]
-    assert any("told to hold: r1, r2, r3, r4" in text for text in notes)
+    assert any("ordered to hold: r1, r2, r3, r4" in text for text in notes)
     assert not any("NOT CONFIRMED" in text for text in notes)

@@ -53,7 +53,7 @@ def test_an_unplugged_radio_and_a_lost_link_stop_neither_mission_nor_record(tmp_
     assert not [c for number, c in allowed if number > held and isinstance(c, GoTo) and c.robot == "r3"]
     # One of the others may have to stay clear of where r3 may be; the mission goes on all the same.
     assert {c.robot for number, c in allowed if number > held and isinstance(c, GoTo)} & {"r2", "r4"}
-    # A robot that already stood, for a neighbour's sake say, is not told once more to hold: it is just not sent on.
+    # A robot that already stood, for a neighbour's sake say, is not ordered once more to hold: it is just not sent on.
     down = next(e for e in events if isinstance(e, ReceiverState) and e.robot == "r1" and not e.up)
     receiver_down_ns = down.t_ns + round(mission.safety.radio.timeout_s * 1e9)
     told = [c for _, c in allowed if isinstance(c, GoTo | Hold | Return) and c.robot == "r1"]

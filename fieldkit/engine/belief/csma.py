@@ -1,8 +1,8 @@
 """The CSMA particle filter as a belief of the engine: for networks whose number of nodes is known or assumed.
 
 The number of sources is the settings' `expected_sources`, rounded: from traffic alone only the product of nodes and
-rate can be told (`sensing.csma`). One power level, as the paper assumes: the loudest of several is taken. Strengths are
-in units of the weakest that is heard. Packets are rare here, so collisions get the share that the load gives.
+rate can be estimated (`sensing.csma`). One power level, as the paper assumes: the loudest of several is taken.
+Strengths are in units of the weakest that is heard. Packets are rare, so collisions get the share that the load gives.
 """
 
 import hashlib

@@ -1,6 +1,6 @@
 """D-SPOG: every robot keeps its own belief, and all of them become the same belief (DPRWA section IV.B).
 
-What one robot measured (its poses and readings) is a log that only it appends to. Robots that meet tell each other how
+What one robot measured (its poses and readings) is a log that only it appends to. Robots that meet send each other how
 much of every log they have, and hand over what the other lacks. A checkpoint is the time up to which a robot has
 everybody's log: min over p of what it knows of p. (Eq 5 prints W_l where W_p is meant.) Up to there its belief is fed
 with all events in one fixed order, so after a checkpoint it equals, bit for bit, that of any other robot at the same
@@ -9,7 +9,7 @@ checkpoint, and that of one computer that had heard everything.
 Messages may be lost, repeated or come late: what is handed over is taken in once, and a part whose beginning is
 missing waits for the next meeting.
 
-The paper has a robot that lags behind take over the other's grid; here events are kept until everybody is known to have
+The paper has a robot that lags behind copy the other's grid; here events are kept until everybody is known to have
 them (a matrix of clocks, after Wuu and Bernstein, "Efficient solutions to the replicated log and dictionary problems",
 PODC 1984). That holds somewhat more events and sends no grids; `held` counts what the paper counts.
 """
@@ -176,7 +176,7 @@ def meet(one: Replica, other: Replica) -> None:
 
 
 def exchange(one: Replica, other: Replica) -> None:
-    """Two robots in range tell each other all they have."""
+    """Two robots in range send each other all they have."""
     to_one, to_other = other.answer(one.hello()), one.answer(other.hello())
     one.take(to_one)
     other.take(to_other)

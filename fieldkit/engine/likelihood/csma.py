@@ -1,4 +1,4 @@
-"""What the traffic of a CSMA network tells, and how strong two packets at once are received.
+"""What the traffic of a CSMA network determines, and how strong two packets at once are received.
 
 Song, Kim and Yi, "Simultaneous localization of multiple unknown CSMA-based wireless sensor network nodes using a
 mobile robot with a directional antenna" (CSMA-PF). Time is in packet lengths; `a` is the propagation delay in them,
@@ -13,7 +13,7 @@ The printed formulas and what is wrong with them:
 - eq 15 counts the collision time as 1 - E[Y]; right is (P_pc - E[Y]) / (1 + a + E[Y]).
 
 The number of nodes m and their rate lambda come only as the product m lambda: from how busy a channel is, many quiet
-nodes cannot be told from few busy ones. So m is given out only for a lambda that is given in.
+nodes cannot be distinguished from few busy ones. So m is given out only for a lambda that is given in.
 """
 
 import math
@@ -103,7 +103,7 @@ def network(
     load = load_of(offered, a, retries=retries, backoff=backoff, form=form)
     if rate is None:
         return Network(
-            load, None, "only the product of nodes and rate can be told from how busy the channel is"
+            load, None, "only the product of nodes and rate can be estimated from how busy the channel is"
         )
     return Network(
         load, load / rate, f"for a rate of {rate:g} packets per packet length, which is taken as known"

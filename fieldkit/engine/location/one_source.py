@@ -151,7 +151,7 @@ def _log_silent(
     """(c,) log likelihood of how many packets were heard in all, its rate unknown: -n log exposure.
 
     A silent place is one witness however long it was silent: its exposure is -log E_S[exp(-rate p(S) T)] / rate over
-    the shadowing S it may have. Where something was heard the shadowing is known as far as the readings tell it.
+    the shadowing S it may have. Where something was heard the shadowing is known as far as the readings determine it.
     So is n counted in places: packets of one place are no independent witnesses of how well others are heard.
     """
     heard, silent, rate_hz = source.heard_at, source.silence, source.rate_hz

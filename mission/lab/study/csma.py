@@ -6,7 +6,7 @@ with either, each for packets that are dropped when the channel is busy and for 
 Figure 7, and what the paper leaves open: the field is 100 m x 100 m; a step is one reading that is not zero, in which
 the robot also drives up to 4 m; it turns to the most probable source and its antenna looks where it drives; a source
 counts as localised when the robot is within 4 m of it. Readings are integers, 1 at the far corner of the field. The
-number of nodes is taken for known: readings tell only the product of nodes and rate; `size_estimate` says what
+number of nodes is taken for known: readings determine only the product of nodes and rate; `size_estimate` says what
 listening to a hundred packets of each node makes of it for the true rate.
 """
 

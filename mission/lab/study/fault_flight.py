@@ -170,7 +170,7 @@ async def _run(flight: Flight, port: int, past: Path | None) -> str:
 
 
 async def _kill(flight: Flight, port: int) -> None:
-    """As kill -9 would: what is on the disk is all there is, nobody is told anything, vehicles are on their own."""
+    """As kill -9 would: what is on the disk is all there is, nobody is informed, vehicles are on their own."""
     if flight.running is None or flight.running.done() or flight.runner is None:
         return
     left = flight.folder / "left.mcap"

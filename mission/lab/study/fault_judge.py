@@ -115,7 +115,7 @@ def _would_meet(
     heading: dict[str, tuple[np.ndarray, float]],
     limit_m: float,
 ) -> bool:
-    """Whether two robots that drive on as they were told come nearer than the limit, and nearer than they are."""
+    """Whether two robots that drive on as ordered come nearer than the limit, and nearer than they are."""
     now_m = float(np.hypot(*(place[one] - place[other])))
     t_s = np.arange(0.0, 60.0, 0.1)[:, None]
     gap_m = np.hypot(*(_driven(one, place, heading, t_s) - _driven(other, place, heading, t_s)).T)

@@ -29,13 +29,13 @@ def turn(rng: np.random.Generator, bearing_deg: float, behind_db: float) -> tupl
 
 def run(trials: int, seed: int, on_progress: Callable[[float, str], None]) -> dict[str, Any]:
     """JSON: {"scenarios": {decibels behind: {"n", "with_bearing", "covers", "off_median_deg", "says_median_deg"}}}."""
-    told = {}
+    scenarios = {}
     for number, behind_db in enumerate(BEHIND_DB):
         on_progress(number / len(BEHIND_DB), f"{behind_db:g} dB behind")
         rng = np.random.default_rng([seed, 0x7084, number])
-        told[f"{behind_db:g} dB"] = _summary([_trial(rng, behind_db) for _ in range(trials)])
+        scenarios[f"{behind_db:g} dB"] = _summary([_trial(rng, behind_db) for _ in range(trials)])
     on_progress(1.0, "done")
-    return {"study": "turn", "trials": trials, "scenarios": told}
+    return {"study": "turn", "trials": trials, "scenarios": scenarios}
 
 
 def _trial(rng: np.random.Generator, behind_db: float) -> tuple[float, float] | None:
