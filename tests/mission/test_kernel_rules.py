@@ -173,6 +173,30 @@ def test_orders_of_the_operator_end_steering_until_resumed(settings: KernelSetti
     assert "r1" in {c.robot for c in field.tick(2)}
 
 
+@pytest.mark.parametrize(
+    ("action", "said"),
+    [
+        ("mark", "r1 says: a transmitter is here, at 2.5 m east, 1.5 m north"),
+        ("bearing", "r1 says: bearing 123 degrees, taken at 2.5 m east, 1.5 m north"),
+    ],
+)
+def test_a_persons_word_is_written_down_with_its_place_and_changes_no_leg(
+    settings: KernelSettings, action: str, said: str
+) -> None:
+    field = Driven(settings, r1=FAR)
+    assert field.tick(0) == [GoTo(0, "r1", FAR[0])]
+    field.put(1, "r1", 2.5, 1.5)
+    outcome = field.kernel.step(Operator(S, action, "r1", reason="bearing 123 degrees"))  # type: ignore[arg-type]
+    assert outcome.notes == (said,) and outcome.commands == ()
+    assert field.tick(2) == [], "still on its leg"
+
+
+@pytest.mark.parametrize("robot", ["stranger", None])
+def test_a_word_of_nobody_who_was_seen_has_no_place(settings: KernelSettings, robot: str | None) -> None:
+    notes = Driven(settings).kernel.step(Operator(S, "mark", robot)).notes
+    assert notes == (f"operator: mark {robot}: where that is, is not known",)
+
+
 def test_the_planner_is_told_what_the_battery_leaves_and_where_home_is(settings: KernelSettings) -> None:
     field = Driven(replace(settings, battery=BatteryLimits(25.0, 0.5)), r1=FAR)
     for robot, left_pct in (("r1", 65.0), ("r2", 10.0)):
