@@ -4,14 +4,12 @@
 """
 
 import json
-import platform
 import types
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from fieldkit import __version__
 from fieldkit.messages import (
     CallOperator,
     Command,
@@ -100,19 +98,6 @@ TOPICS: tuple[Topic, ...] = (
 BY_NAME = {topic.name: topic for topic in TOPICS}
 BY_KIND = {topic.kind: topic for topic in TOPICS if topic.kind is not None}
 HEADER, RESULT = BY_NAME["/header"], BY_NAME["/result"]
-
-
-def software() -> dict[str, str]:
-    """The versions that a mission's numbers may depend on."""
-    from importlib.metadata import version
-
-    libraries = {name: version(name) for name in ("numpy", "scipy", "numba")}
-    return {
-        "fieldkit": __version__,
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-        **libraries,
-    }
 
 
 def json_schema(topic: Topic) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from fieldkit.geo import FieldFrame
 from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, Pose, SourceEstimate
 from fieldkit.recording import codec, viewer
 from fieldkit.recording.disk import DiskSync
+from fieldkit.recording.made_with import software
 from fieldkit.recording.schema import (
     BY_KIND,
     HEADER,
@@ -36,7 +37,6 @@ from fieldkit.recording.schema import (
     Level,
     Note,
     schema_text,
-    software,
 )
 
 logger = logging.getLogger(__name__)

@@ -13,8 +13,8 @@ from fieldkit.channel.antenna_file import AntennaFile, parse_antenna
 from fieldkit.clock import wall_s
 from fieldkit.errors import ConfigError, DataError, RecordingError, ReplayMismatch
 from fieldkit.messages import Command, Event
+from fieldkit.recording.made_with import differences
 from fieldkit.recording.reader import Recording, Step, open_recording
-from fieldkit.recording.schema import software
 from fieldkit.tuning import Tuning
 from mission.core.defaults import filled_in
 from mission.core.kernel import Kernel, Outcome, state_digest
@@ -186,16 +186,8 @@ class _Expected:
     @property
     def _made_with(self) -> str:
         """What the recording was made with, where that is not what replays it."""
-        made, here = self._recording.software, software()
-        differing = [
-            f"{name} {made[name]} (here {here.get(name, 'none')})"
-            for name in made
-            if made[name] != here.get(name)
-        ]
-        if not differing:
-            return ""
-        with_what = f"; it was recorded with {', '.join(differing)}"
-        return f"{with_what}; fieldkit {made['fieldkit']} can replay it" if "fieldkit" in made else with_what
+        differing = differences(self._recording.software)
+        return f"; {differing}" if differing else ""
 
     def _check(self, step: Step, given: list[tuple[str, Command]], digest: str) -> None:
         where = f"event {step.inbox_number} ({type(step.event).__name__} at {step.event.t_ns} ns)"
