@@ -340,3 +340,24 @@ def test_digests_tell_histories_apart(settings: KernelSettings) -> None:
     other.kernel.detections -= 1
     one.tick(10)
     assert one.kernel.commands_digest() != other.kernel.commands_digest()
+
+
+class Talking(Scripted):
+    """A belief that has something to say of the receivers and of what is left."""
+
+    def said(self) -> list[str]:
+        return ["r1 hears too little"] if len(self.stretches) == 1 else []
+
+    def left_words(self) -> str:
+        return "of those that send once a minute"
+
+
+def test_what_a_belief_says_is_noted_and_qualifies_the_end(settings: KernelSettings) -> None:
+    field = Driven(replace(settings, stop_probability_left=0.05))
+    field.belief = Talking()
+    field.kernel.belief = field.belief  # type: ignore[assignment]
+    said = [note for t_s in range(5, 15) for note in field.tick(t_s).notes]
+    assert said.count("r1 hears too little") == 1
+    field.belief.left, field.belief.changes_its_mind = 0.01, True
+    (end,) = [c for t_s in (15, 16) for c in field.tick(t_s).commands if isinstance(c, EndMission)]
+    assert end.reason == "the probability that a source is left is 0.010, of those that send once a minute"
