@@ -286,7 +286,7 @@ def trouble_of(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble
 
 def not_ready(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | None:
     """What keeps a robot from being sent anywhere."""
-    if reason := _position_fault(robot, settings, now_ns):
+    if reason := position_fault(robot, settings, now_ns):
         return Trouble("position", reason)
     if robot.vehicle is not None and not robot.vehicle.link_up:
         return Trouble("link", f"its link is down: {robot.vehicle.text}".rstrip(": "))
@@ -306,7 +306,7 @@ def under_way_trouble(robot: Watched, settings: SafetySettings, now_ns: int) -> 
     pose = robot.pose
     if pose is None:
         return Trouble("position", "its position is unknown")
-    if _is_out(robot, settings, pose):
+    if is_out(robot, settings):
         return Trouble(
             "fence",
             f"it is outside the fence or on closed ground, {robot.outside_m:.1f} m deep, at {pose.east_m:.1f} m east, "
@@ -329,9 +329,10 @@ def under_way_trouble(robot: Watched, settings: SafetySettings, now_ns: int) -> 
     return None
 
 
-def _is_out(robot: Watched, settings: SafetySettings, pose: Pose) -> bool:
+def is_out(robot: Watched, settings: SafetySettings) -> bool:
     """Whether it is out of bounds: for a while, or deeper than it can have rolled. One on its way back in is not."""
-    if robot.out_ns is None:
+    pose = robot.pose
+    if robot.out_ns is None or pose is None:
         return False
     slack_m = max(pose.sigma_m, 0.02)
     if robot.set_out_outside_m > 0.0 and robot.outside_m <= robot.set_out_outside_m + slack_m:
@@ -340,7 +341,8 @@ def _is_out(robot: Watched, settings: SafetySettings, pose: Pose) -> bool:
     return lasted_s >= OUT_S or robot.outside_m > settings.braking_m + 0.5
 
 
-def _position_fault(robot: Watched, settings: SafetySettings, now_ns: int) -> str:
+def position_fault(robot: Watched, settings: SafetySettings, now_ns: int) -> str:
+    """Why nobody knows where it is; empty where its position can be relied on."""
     if robot.pose is None:
         return "its position is unknown"
     age_s = (now_ns - robot.pose.t_ns) * 1e-9

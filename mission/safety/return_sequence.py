@@ -16,7 +16,7 @@ from fieldkit.geometry.segments import Driven, Place, Segment, ever_m, standing
 from fieldkit.messages import CallOperator, Command, GoTo, Hold, Land, Return, Waypoint
 from fieldkit.settings import REPEAT_S
 from mission.safety.limits import SafetySettings
-from mission.safety.monitor import LONG_AGO_NS, SLOW_M_S, Watched
+from mission.safety.monitor import LONG_AGO_NS, SLOW_M_S, Watched, is_out, position_fault
 from mission.safety.separation import are_layered
 
 SLOWEST_M_S = 0.1
@@ -66,6 +66,10 @@ class ReturnSequence:
     waiting: dict[str, str] = field(default_factory=dict)
     """Robot to why it goes home, in order."""
     under_way: dict[str, _Trip] = field(default_factory=dict)
+    not_before_ns: dict[str, int] = field(default_factory=dict)
+    """Robots that were stopped on their way, and when they may set out again at the earliest."""
+    strayed: set[str] = field(default_factory=set)
+    """Robots that have been out of bounds on their way."""
 
     def ask(self, name: str, reason: str) -> None:
         """It is to go home. Asking twice is harmless."""
@@ -76,6 +80,8 @@ class ReturnSequence:
         """It is not to go home any more."""
         self.waiting.pop(name, None)
         self.under_way.pop(name, None)
+        self.not_before_ns.pop(name, None)
+        self.strayed.discard(name)
 
     def ask_anew(self, robots: Mapping[str, Watched], closed: KeepOut) -> set[str]:
         """Those under way across ground that was closed meanwhile: they are to stop, and to set out on another path."""
@@ -105,7 +111,7 @@ class ReturnSequence:
             commands += self._go_on(robots[name], settings, now_ns)
         for name in list(self.waiting):
             robot = robots[name]
-            here = _place_of(robot)
+            here = self._start_of(robot, settings, now_ns)
             if here is None:
                 continue
             path = _path_home(robot, here, settings)
@@ -116,8 +122,13 @@ class ReturnSequence:
                 self.under_way[name] = trip
                 commands.append(_order(robot, trip, settings, now_ns))
         if self.waiting and not self.under_way:
-            commands += self._give_up(robots, now_ns)
+            commands += self._give_up(robots, settings, now_ns)
         return commands
+
+    def _start_of(self, robot: Watched, settings: SafetySettings, now_ns: int) -> Place | None:
+        """Where one that waits could set out from now; None where it could not, whatever the others do."""
+        rests = now_ns >= self.not_before_ns.get(robot.name, LONG_AGO_NS)
+        return _place_of(robot, settings, now_ns) if rests else None
 
     def _go_on(self, robot: Watched, settings: SafetySettings, now_ns: int) -> list[Command]:
         """One that is under way: home, on to the next corner, still going, or not getting there."""
@@ -139,10 +150,8 @@ class ReturnSequence:
         if robot.somebody_elses:
             self.forget(name)
             return []
-        if robot.too_near:
-            self.forget(name)
-            self.waiting[name] = trip.reason
-            return [Hold(now_ns, name, "it is too near another robot; it goes on home when it can")]
+        if why := _must_stop(robot, settings, now_ns):
+            return self._stop(robot, trip, settings, now_ns, why)
         while _has_passed(trip, here, settings):
             trip.leg, trip.ordered_ns = trip.leg + 1, LONG_AGO_NS
         if (left_m := trip.left_m(here)) < trip.nearest_m - 0.1:
@@ -154,6 +163,25 @@ class ReturnSequence:
             trip.ordered_ns = now_ns
             return [_order(robot, trip, settings, now_ns)]
         return []
+
+    def _stop(
+        self, robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int, why: str
+    ) -> list[Command]:
+        """Hold on the way, and go on from there when that can be; one that leaves the bounds twice stays."""
+        name, is_outside = robot.name, is_out(robot, settings)
+        if is_outside and name in self.strayed:
+            self.forget(name)
+            return [
+                Hold(now_ns, name, why),
+                CallOperator(now_ns, name, f"{why}, once more on its way home: {trip.reason}"),
+            ]
+        if is_outside:
+            self.strayed.add(name)
+        if not robot.too_near:  # else the others' paths say when
+            self.not_before_ns[name] = now_ns + round(REPEAT_S * 1e9)
+        del self.under_way[name]
+        self.waiting[name] = trip.reason
+        return [Hold(now_ns, name, f"{why}; it goes on home when it can")]
 
     def _land(self, robot: Watched, trip: _Trip, now_ns: int) -> list[Command]:
         """Above its home: ordered to land until it does; done when it stands or has switched its motors off."""
@@ -215,11 +243,11 @@ class ReturnSequence:
                 return False
         return True
 
-    def _give_up(self, robots: Mapping[str, Watched], now_ns: int) -> list[Command]:
+    def _give_up(self, robots: Mapping[str, Watched], settings: SafetySettings, now_ns: int) -> list[Command]:
         """Nobody is under way and nobody can set out: those that could be ordered to go stay, and somebody is asked."""
         commands: list[Command] = []
         for name, reason in list(self.waiting.items()):
-            if _place_of(robots[name]) is None:
+            if self._start_of(robots[name], settings, now_ns) is None:
                 continue
             if any(other.moving for other in robots.values()):
                 continue  # its path may come free
@@ -236,10 +264,23 @@ def _ways(robot: Watched, path: Sequence[Place], settings: SafetySettings) -> li
     return [robot.way(straight[0], settings), *straight]
 
 
-def _place_of(robot: Watched) -> Place | None:
-    """Where a robot is that can be ordered to go home; None if it was never seen, is not heard, or is not ours."""
+def _place_of(robot: Watched, settings: SafetySettings, now_ns: int) -> Place | None:
+    """Where a robot is that can be ordered to go home; None where nobody knows, it is not heard, or it is not ours."""
     heard = robot.vehicle is None or robot.vehicle.link_up
-    return None if robot.somebody_elses or not heard else robot.place_m
+    if robot.somebody_elses or not heard or position_fault(robot, settings, now_ns):
+        return None
+    return robot.place_m
+
+
+def _must_stop(robot: Watched, settings: SafetySettings, now_ns: int) -> str:
+    """Why one on its way home must hold as any other would; empty where it need not."""
+    if reason := position_fault(robot, settings, now_ns):
+        return reason
+    if robot.vehicle is not None and not robot.vehicle.link_up:
+        return "its link is down"
+    if is_out(robot, settings):
+        return f"it is outside the fence or on closed ground, {robot.outside_m:.1f} m deep"
+    return "it is too near another robot" if robot.too_near else ""
 
 
 def _seen_at(robot: Watched) -> Place:

@@ -261,7 +261,8 @@ class Safety:
         if robot.name in self.settings.on_foot:
             return []  # people look after themselves: they go on as soon as what is wrong has passed
         after_s = self.settings.call_after_s if trouble.after_s is None else trouble.after_s
-        if robot.called or robot.ordered or lasted_s < after_s:
+        homeward = robot.ordered == "return" and trouble.then != "return"
+        if robot.called or (robot.ordered and not homeward) or lasted_s < after_s:
             return []
         if trouble.then == "return":
             self.returning.ask(robot.name, trouble.reason)

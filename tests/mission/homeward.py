@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from fieldkit.messages import Command, GoTo, Pose, VehicleState, Waypoint
 from mission.safety.limits import SafetySettings
-from mission.safety.monitor import Watched
+from mission.safety.monitor import LONG_AGO_NS, Watched
 from mission.safety.return_sequence import ReturnSequence
 
 Place = tuple[float, float]
@@ -30,7 +30,7 @@ class Team:
     def put(self, name: str, place: Place, up_m: float = 0.0) -> None:
         """It is seen there, at rest."""
         self.robots[name].see(Pose(self.now_ns, name, *place, up_m=up_m), self.settings)
-        self.robots[name].velocity_m_s = (0.0, 0.0)
+        self.robots[name].velocity_m_s, self.robots[name].jumped_ns = (0.0, 0.0), LONG_AGO_NS
 
     def says(self, name: str, mode: str = "guided", **more: object) -> None:
         self.robots[name].vehicle = VehicleState(self.now_ns, name, mode, True, **more)  # type: ignore[arg-type]

@@ -200,8 +200,6 @@ def test_an_order_that_its_vehicle_does_not_follow_is_repeated_every_three_secon
     assert team.step(2.9) == []
     assert team.step(0.2) == [team.goto("a", (5.0, 5.0))]
     assert team.step(2.9) == []
-    team.says("a", "hold", link_up=False)
-    assert team.step(0.2) == [], "of one that is not heard nobody knows"
     team.says("a", "guided")
     assert team.step(1.0) == []
     team.robots["a"].vehicle = None
