@@ -20,6 +20,8 @@ class Robot:
     vehicle: VehicleState | None = None
     held: bool = False
     """Held by the operator until resumed."""
+    released: bool = False
+    """Given to somebody else until it is asked for by name."""
     receiver_down_ns: int | None = None
     """Since when its radio is down."""
 

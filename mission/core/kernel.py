@@ -163,10 +163,13 @@ class Kernel:
             return self._word_of(event)
         targets = self.robots if event.robot is None else {event.robot: self.robots.get(event.robot)}
         for robot in targets.values():
-            if robot is not None and event.action in ("hold", "return", "release", "withdraw"):
+            if robot is None or (event.robot is None and robot.released):
+                continue  # somebody else has it, and only its own name takes it back
+            if event.action in ("hold", "return", "release", "withdraw"):
                 robot.held = True
-            elif robot is not None and event.action == "resume":
-                robot.held = False
+                robot.released = event.action == "release" or (robot.released and event.action == "withdraw")
+            elif event.action == "resume":
+                robot.held = robot.released = False
         self.tasks.drop(targets)
         if event.action == "resume":
             self.turns.start_anew()

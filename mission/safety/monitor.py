@@ -29,6 +29,8 @@ AHEAD_S = 1.0
 """A position from further in the future than this comes from a clock that is wrong."""
 OUT_SIGMAS = 3.0
 """A robot may be this many standard deviations of its position outside before it counts as outside."""
+COARSE_SHARE = 0.25
+"""A position less sure than this share of the field tells neither the fence nor another robot."""
 OUT_S = 1.5
 """... and is, when it has been for so long: one bad position is no reason to stop."""
 FAST_SHARE = 1.25
@@ -206,7 +208,7 @@ class Watched:
 
     def see(self, pose: Pose, settings: SafetySettings) -> None:
         """Take in a position. One that is no number is dropped; one out of reach is kept but not trusted."""
-        if not all(map(math.isfinite, (pose.east_m, pose.north_m))):
+        if not all(map(math.isfinite, (pose.east_m, pose.north_m, pose.sigma_m))):
             self.jumped_ns = pose.t_ns
             return
         if self.pose is not None:
@@ -350,6 +352,9 @@ def position_fault(robot: Watched, settings: SafetySettings, now_ns: int) -> str
         return f"its position is {age_s:.1f} s old (limit {settings.pose_timeout_s:.1f} s)"
     if age_s < -AHEAD_S:
         return f"its position is from {-age_s:.1f} s in the future: a clock is wrong"
+    side_m = min(settings.size_east_m, settings.size_north_m)
+    if robot.pose.sigma_m > COARSE_SHARE * side_m and robot.name not in settings.on_foot:
+        return f"its position is good to {robot.pose.sigma_m:.1f} m only, in a field of {side_m:g} m"
     if (now_ns - robot.jumped_ns) * 1e-9 < SETTLE_S:
         return "its position jumped further than it can drive"
     return ""

@@ -138,6 +138,14 @@ class Safety:
         elif isinstance(command, Hold | Return | Land):
             robot.stop()
 
+    def ours(self) -> list[str]:
+        """Robots that are ours to stop unasked: neither released, nor steered by somebody else."""
+        return [
+            name
+            for name, robot in self.robots.items()
+            if robot.ordered != "release" and not robot.somebody_elses
+        ]
+
     # -- the operator ----------------------------------------------------------------------------------------
 
     def _operator(self, event: Operator) -> list[Command]:
@@ -156,13 +164,17 @@ class Safety:
     def _order(self, robot: Watched, event: Operator) -> list[Command]:
         """One robot's part of what the operator asked for."""
         reason = event.reason or f"operator: {event.action}"
+        if event.robot is None and robot.ordered == "release":
+            # Somebody else has it: a word to all stops it as well, but neither ends that nor takes it back.
+            return [Hold(event.t_ns, robot.name, reason)] if event.action == "hold" else []
         if event.action in ("hold", "end", "release", "resume"):
             self.returning.forget(robot.name)
         match event.action:
             case "hold" | "end":
                 robot.ordered = "hold"
                 robot.stop()
-                return [Hold(event.t_ns, robot.name, reason)]
+                is_ours = event.action == "hold" or not robot.somebody_elses
+                return [Hold(event.t_ns, robot.name, reason)] if is_ours else []
             case "return":
                 robot.ordered = "return"
                 robot.stop()

@@ -10,7 +10,7 @@ The dispatcher decides nothing else. What may be ordered is for safety to say.
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from typing import Literal
@@ -83,7 +83,7 @@ class Dispatcher:
         if isinstance(order, Hold):
             if current is not None and under_way and isinstance(current.order, Hold):
                 return
-            self.link_of[robot].stop(robot)  # its first frame has left before anything else is done
+            self._stop_at_once(robot)
         elif self._frozen[robot] and order != RELEASE:
             return
         if current is not None and under_way:
@@ -95,6 +95,13 @@ class Dispatcher:
             return
         task = asyncio.create_task(self._carry_out(robot, order), name=f"order {robot}")
         self._current[robot] = _Current(order, self._clock.elapsed_s(), task)
+
+    def _stop_at_once(self, robot: str) -> None:
+        """The first frame has left before anything else is done. A driver's mistake does not keep others from it."""
+        try:
+            self.link_of[robot].stop(robot)
+        except Exception:
+            logger.exception("%s: the first frame of a stop could not be sent; it is repeated", robot)
 
     def freeze(self, robots: Iterable[str], t_ns: int, reason: str) -> None:
         """Hold these now; only holds pass until `thaw`."""
@@ -108,9 +115,8 @@ class Dispatcher:
             self._frozen[robot] = max(0, self._frozen[robot] - 1)
 
     @contextmanager
-    def frozen(self, t_ns: int, reason: str) -> Iterator[None]:
-        """Everybody holds while in here."""
-        robots = list(self.link_of)
+    def frozen(self, robots: Sequence[str], t_ns: int, reason: str) -> Iterator[None]:
+        """These hold while in here."""
         self.freeze(robots, t_ns, reason)
         try:
             yield
@@ -209,7 +215,9 @@ class Dispatcher:
         while True:
             try:
                 await self._ask(robot, order)
-            except DeviceError as error:
+            except Exception as caught:
+                # A driver's mistake is a failure like others: a stop that ended by it would pass for confirmed.
+                error = caught if isinstance(caught, DeviceError) else DeviceError(repr(caught))
                 self._failed(robot, name, error)
                 if not isinstance(order, Hold):
                     return error

@@ -90,6 +90,8 @@ class Runner:
         self._inbox: asyncio.Queue[tuple[int, int, Event] | BaseException] = asyncio.Queue()
         self._number = 0
         self._stepped = 0
+        self._frozen_for: dict[int, list[str]] = {}
+        """Numbers of events that stopped robots before they were stepped, and which."""
         kernel = self.mission.kernel
         self._ticks = Ticks(
             put=lambda: self.put(Tick(self.setup.clock.now_ns())),
@@ -162,16 +164,23 @@ class Runner:
     # -- what comes in ---------------------------------------------------------------------------------------
 
     def put(self, event: Event) -> None:
-        """Into the inbox, stamped with the time it arrives there. A hold by the operator goes out at once."""
-        if isinstance(event, Operator) and event.action == "hold":
-            self.dispatcher.freeze(self._meant(event), event.t_ns, event.reason or "operator: hold")
-        t_ns = self.setup.clock.now_ns()
+        """Into the inbox, stamped with the time it arrives there. What stops robots goes out at once."""
         self._number += 1
+        if isinstance(event, Operator) and (stopped := self._stopped_by(event)):
+            self.dispatcher.freeze(stopped, event.t_ns, event.reason or f"operator: {event.action}")
+            self._frozen_for[self._number] = stopped
+        t_ns = self.setup.clock.now_ns()
         # At once: what waits here while the kernel is busy must survive a kill as well.
         self.records.event(self._number, t_ns, event)
         self._inbox.put_nowait((self._number, t_ns, event))
         if isinstance(event, RssReading):
             self._ticks.heard()
+
+    def _stopped_by(self, event: Operator) -> list[str]:
+        """Robots that must not wait for the kernel to have thought."""
+        if event.action == "hold":
+            return self._meant(event)
+        return self.safety.ours() if event.action == "end" and self._steered else []
 
     def _meant(self, event: Operator) -> list[str]:
         return [robot for robot in self.dispatcher.link_of if event.robot in (None, robot)]
@@ -311,17 +320,18 @@ class Runner:
         if not thinking.done():
             reason = f"the steering loop is late: one step has taken {limit_s:g} s"
             self._note("warning", f"{reason}; all robots hold")
-            with self.dispatcher.frozen(tick.t_ns, reason):
+            with self.dispatcher.frozen(self.safety.ours(), tick.t_ns, reason):
                 await asyncio.wait({thinking})
         return await thinking
 
     def _obey_operator(self, event: Operator) -> None:
         """What the operator's word means for the vehicles beyond the commands it led to."""
-        robots = self._meant(event)
-        if event.action == "hold":
-            self.dispatcher.thaw(robots)
-        for robot in robots:
-            vehicle = self.safety.robots[robot].vehicle
+        self.dispatcher.thaw(self._frozen_for.pop(self._stepped, ()))
+        for robot in self._meant(event):
+            watched = self.safety.robots[robot]
+            vehicle = watched.vehicle
+            if watched.ordered == "release" and event.action != "release":
+                continue
             if event.action == "resume" and (vehicle is None or vehicle.mode != "guided"):
                 # A vehicle that its own failsafe, or somebody else, has had needs its control acquired anew.
                 self.dispatcher.order(robot, ACQUIRE)
@@ -379,13 +389,8 @@ class Runner:
         if not self._steered:
             await self.fences.restore()
             return
-        robots = [
-            name
-            for name, robot in self.safety.robots.items()
-            if robot.ordered != "release" and not robot.somebody_elses
-        ]
         stopping = asyncio.create_task(
-            self.dispatcher.stop(robots, self.setup.clock.now_ns(), "the mission is over")
+            self.dispatcher.stop(self.safety.ours(), self.setup.clock.now_ns(), "the mission is over")
         )
         cancelled: asyncio.CancelledError | None = None
         while not stopping.done():

@@ -235,3 +235,31 @@ async def test_one_that_flies_climbs_once_it_is_ours() -> None:
     dispatcher = Dispatcher((vehicles,), ScaledClock(RATE), lambda level, text: None, {"b": 13.0})
     await dispatcher.acquire()
     assert vehicles.asked == [("a", "acquire"), ("b", "acquire"), ("b", "take off 13")]
+
+
+async def test_a_drivers_mistake_neither_confirms_a_stop_nor_keeps_others_from_theirs() -> None:
+    bench = Bench("a", "b")
+
+    class Faulty(Vehicles):
+        def stop(self, robot: str) -> None:
+            super().stop(robot)
+            if robot == "a":
+                raise KeyError(robot)
+
+        async def hold(self, robot: str) -> None:
+            await super().hold(robot)
+            if robot == "a" and self.asked.count((robot, "hold")) < 3:
+                raise ValueError("not a number")
+
+    bench.vehicles = Faulty("a", "b")
+    bench.dispatcher = Dispatcher((bench.vehicles,), bench.clock, lambda _, text: bench.notes.append(text))
+    for answer in bench.vehicles.answers.values():
+        answer.set()
+    bench.dispatcher.freeze(["a", "b"], 0, "operator: hold")
+    assert bench.vehicles.asked == [("a", "stop"), ("b", "stop")]
+    await bench.until(lambda: bench.vehicles.asked.count(("a", "hold")) == 2)
+    assert bench.dispatcher.unconfirmed().keys() == {"a"}
+    await bench.until(lambda: not bench.dispatcher.unconfirmed())
+    assert bench.vehicles.asked.count(("a", "hold")) == 3
+    assert any("not a number" in note for note in bench.notes)
+    await bench.dispatcher.close()

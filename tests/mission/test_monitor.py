@@ -68,6 +68,24 @@ def test_a_position_more_than_a_second_ahead_of_us_comes_from_a_wrong_clock() ->
     assert trouble is not None and "from 1.1 s in the future" in trouble.reason
 
 
+@pytest.mark.parametrize("side_m", [100.0, 40.0])
+def test_a_position_less_sure_than_a_quarter_of_the_field_is_none(side_m: float) -> None:
+    """With tens of metres of it nothing could be said to be outside, too fast or too near."""
+    limits = replace(LIMITS, size_north_m=side_m)
+    sure, unsure = (seen(pose(10.0, 5.0, 5.0, share * side_m)) for share in (0.24, 0.26))
+    assert not_ready(sure, limits, ns(10.0)) is None
+    trouble = not_ready(unsure, limits, ns(10.0))
+    assert trouble is not None and trouble.kind == "position" and "m only" in trouble.reason
+    assert not_ready(unsure, replace(limits, on_foot=frozenset({"a"})), ns(10.0)) is None
+
+
+@pytest.mark.parametrize("sigma_m", [math.nan, math.inf])
+def test_a_position_of_which_nobody_knows_how_sure_it_is_is_none(sigma_m: float) -> None:
+    robot = seen(pose(10.0, 50.0), pose(10.2, 50.0, sigma_m=sigma_m))
+    assert robot.pose is not None and robot.pose.t_ns == ns(10.0)
+    assert kind(not_ready(robot, LIMITS, ns(10.2))) == "position"
+
+
 def test_a_robot_never_seen_has_no_position() -> None:
     assert kind(not_ready(Watched("a"), LIMITS, 0)) == "position"
     assert kind(under_way_trouble(Watched("a"), LIMITS, 0)) == "position"
