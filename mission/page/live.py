@@ -7,10 +7,13 @@ from typing import Any
 
 from fieldkit.messages import Event, Tick
 from mission.page.server import Mailbox, Page
-from mission.page.view import View
+from mission.page.view import View, number_or, thin
 
 Messages = list[tuple[str, str]]
 """(slot in a mailbox, text)."""
+PAST_EVERY_S = 5.0
+PAST_FRAMES = 720
+"""Frames kept to look back at; when there are more, every second of the older ones goes."""
 FRAME_NS = 400_000_000
 """Frames are no nearer to each other, in mission time: ticks are, where receptions are looked at as they come."""
 
@@ -24,6 +27,8 @@ class LiveShow:
         self._mailboxes: list[Mailbox] = []
         self._newcomers: deque[Mailbox] = deque()
         self._shown_ns = -FRAME_NS
+        self._past: list[tuple[float, str]] = []
+        """(s, a moment to look back at); replaced when it is thinned, so that another thread may read it."""
 
     # -- the server's thread ---------------------------------------------------------------------------------
 
@@ -38,7 +43,11 @@ class LiveShow:
                 waiting.remove(mailbox)
 
     def asked(self, mailbox: Mailbox, question: dict[str, Any]) -> None:
-        """There is nothing else to see live."""
+        """`look` at how it was at a time."""
+        if question.get("kind") == "look" and (past := self._past):
+            t_s = number_or(question.get("t_s"), past[-1][0])
+            earlier = [text for at_s, text in past if at_s <= t_s]
+            mailbox.put("past", earlier[-1] if earlier else past[0][1])
 
     def _hand_over(self, now: Messages, news: list[str], newcomers: list[Mailbox], past: Messages) -> None:
         for mailbox in self._mailboxes:
@@ -62,14 +71,30 @@ class LiveShow:
     def publish(self) -> None:
         """Hand over what is new; nothing is made where nobody looks."""
         news = self.view.news()
+        self._remember()
         if self.page is None or not self.page.clients:
             return
         newcomers = [self._newcomers.popleft() for _ in range(len(self._newcomers))]
         past = _texts(self.view.history()) if newcomers else []
-        frame = ("frame", json.dumps(self.view.frame()))
+        frame = (
+            "frame",
+            json.dumps(
+                self.view.frame() | {"viewers": self.page.clients, "commanders": self.page.commanders}
+            ),
+        )
         now = [frame, *_texts(self.view.grids())]
         encoded = [json.dumps({"kind": "news", **each}) for each in news]
         self.page.call(lambda: self._hand_over(now, encoded, newcomers, [*past, frame]))
+
+    def _remember(self) -> None:
+        """Keep the present every few seconds, for whoever looks back later."""
+        now_s = self.view.now_s
+        if self._past and now_s - self._past[-1][0] < PAST_EVERY_S:
+            return
+        moment = {"kind": "past", "frame": self.view.frame(), "grids": self.view.all_grids()}
+        past = [*self._past, (now_s, json.dumps(moment))]
+        thin(past, PAST_FRAMES)
+        self._past = past
 
     def command(self, *given: Any) -> None:
         self.view.command(*given)

@@ -1,7 +1,6 @@
 """A recording, shown: the same frames a live page had, one a second, with a time to go to and a speed to play at."""
 
 import asyncio
-import contextlib
 import heapq
 import json
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ from fieldkit.messages import Tick
 from fieldkit.recording.reader import Recording
 from mission.page.background import background_or_none
 from mission.page.server import Mailbox
-from mission.page.view import KEPT, SERIES_POINTS, TRACK_POINTS, View
+from mission.page.view import KEPT, SERIES_POINTS, TRACK_POINTS, View, number_or
 from mission.replay.replay import recorded_mission
 
 MOST_FRAMES = 4000
@@ -66,10 +65,10 @@ class PastShow:
         """`seek` to a time, `play` at a rate, `pause`."""
         kind = question.get("kind")
         if kind == "seek":
-            self._seek(mailbox, _number(question.get("t_s"), self.duration_s))
+            self._seek(mailbox, number_or(question.get("t_s"), self.duration_s))
         elif kind == "play":
             self._stop(mailbox)
-            rate = min(max(_number(question.get("rate"), 1.0), 0.1), FASTEST)
+            rate = min(max(number_or(question.get("rate"), 1.0), 0.1), FASTEST)
             self._players[mailbox] = asyncio.create_task(self._play(mailbox, rate))
         elif kind == "pause":
             self._stop(mailbox)
@@ -157,11 +156,3 @@ def _until(rows: Any, t_s: float, key: Any, most: int) -> list[Any]:
     """The rows up to a time: the last `most`, or every so many where they are a line."""
     early = [row for row in rows if row[key] <= t_s]
     return early[-most:] if key == "t_s" else early
-
-
-def _number(value: object, otherwise: float) -> float:
-    with contextlib.suppress(TypeError, ValueError):
-        number = float(value)  # type: ignore[arg-type]
-        if number == number:
-            return number
-    return otherwise

@@ -90,6 +90,8 @@ class Mailbox:
         self._taken = asyncio.Event()
         self._taken.set()
         self.dropped = 0
+        self.may_command = False
+        """Its browser has shown the token."""
 
     def put(self, slot: str, text: str) -> None:
         """Something of which only the newest counts."""
@@ -169,6 +171,11 @@ class Page:
         )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+
+    @property
+    def commanders(self) -> int:
+        """Browsers that have shown the token."""
+        return sum(mailbox.may_command for mailbox in tuple(self._mailboxes))
 
     @property
     def address(self) -> str:
@@ -271,7 +278,7 @@ class Page:
                 return
             message = message_of(frame.get("text") or frame.get("bytes") or b"")
             if message.get("kind") == "token":
-                may_command = self._is_token(message.get("token"))
+                mailbox.may_command = may_command = self._is_token(message.get("token"))
                 said = {"kind": "rights", "may_command": may_command, "wrong_token": not may_command}
                 mailbox.put("rights", json.dumps(said))
             elif message.get("kind") == "command":

@@ -6,6 +6,7 @@ Lists are bounded: long ones are thinned, so that a day costs no more memory tha
 """
 
 import base64
+import contextlib
 import math
 import re
 from collections import deque
@@ -248,6 +249,15 @@ class View:
             each["sent"] = True
         return [{key: value for key, value in each.items() if key != "sent"} for each in changed]
 
+    def all_grids(self) -> list[dict[str, Any]]:
+        """Belief and exposure as they are."""
+        return [{k: v for k, v in each.items() if k != "sent"} for each in self._grids.values()]
+
+    @property
+    def now_s(self) -> float:
+        """Seconds since the start."""
+        return self._at_s(self._now_ns)
+
     def news(self) -> list[dict[str, Any]]:
         """Detections and notes since this was last asked."""
         news = list(self._news)
@@ -256,7 +266,6 @@ class View:
 
     def history(self) -> list[dict[str, Any]]:
         """Messages that bring a new browser up to date."""
-        grids = [{k: v for k, v in each.items() if k != "sent"} for each in self._grids.values()]
         return [
             {
                 "kind": "history",
@@ -265,7 +274,7 @@ class View:
                 "detections": list(self.detections),
                 "notes": list(self.notes),
             },
-            *grids,
+            *self.all_grids(),
         ]
 
     # -- taking events ------------------------------------------------------------------------------------------
@@ -405,6 +414,15 @@ def grid(name: str, values: FloatArray, cell_m: float, scale: float | None = Non
         "largest": largest,
         "data": base64.b64encode(data.tobytes()).decode("ascii"),
     }
+
+
+def number_or(value: object, otherwise: float) -> float:
+    """A number that came from a browser, or else another."""
+    with contextlib.suppress(TypeError, ValueError):
+        number = float(value)  # type: ignore[arg-type]  # what is no number raises
+        if number == number:
+            return number
+    return otherwise
 
 
 def thin(rows: list[Any], most: int) -> None:

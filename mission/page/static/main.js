@@ -1,7 +1,10 @@
 // Puts the parts together: messages in, one drawing per screen refresh at most, and the state of the connection.
 import { model } from "./model.js";
 import { connect, ask } from "./socket.js";
-import { area, draw, pin } from "./map.js";
+import { area, draw, lookedAt, pin } from "./map.js";
+import { setUpTools } from "./tools.js";
+import { setUpTimeline, timeline } from "./timeline.js";
+import { listen, setUpSound } from "./sound.js";
 import { chart } from "./chart.js";
 import { clock, fill } from "./panels.js";
 import { walk } from "./walk.js";
@@ -10,6 +13,8 @@ import { notice, setUp, showRights } from "./commands.js";
 
 const $ = (id) => document.getElementById(id);
 const SILENT_MS = 5000;
+const STALE_MS = 2000;
+const SLACK_MS = 500; // frames come every half second
 const RING_MS = 1500;
 let filled = -1;
 let drawn = "";
@@ -42,12 +47,21 @@ function showState() {
   chip.className = `chip ${!(ended && live) && (!model.connected || silent) ? "lost" : live && !ended ? "live" : ""}`;
 }
 
+// What is old looks like the present: it is covered by how old it is.
+function showStale() {
+  const box = $("stale");
+  const age_s = (performance.now() - model.heardAt) / 1000;
+  const stale = model.hello?.live && model.frame && !model.frame.end && (!model.connected || age_s * 1000 > STALE_MS + SLACK_MS);
+  const words = !stale ? "" : `NOT THE PRESENT: nothing from the mission for ${Math.round(age_s)} s. Stop robots by remote control.`;
+  if (box.textContent !== words) { box.textContent = words; box.hidden = !words; document.body.classList.toggle("stale", Boolean(words)); }
+}
+
 function refresh() {
-  if (model.version.side !== filled && model.frame) { filled = model.version.side; fill(); chart(); walk(); }
+  if (model.version.side !== filled && model.frame) { filled = model.version.side; fill(); chart(); walk(); timeline(); listen(); }
   // Drawn only when there is something new: a phone in the field has one battery.
   const newest = model.detections.at(-1)?.seenAt ?? -RING_MS;
   const moving = area.drawing || performance.now() - newest < RING_MS;
-  const now = `${model.version.side} ${model.version.grids} ${innerWidth} ${innerHeight} ${layer()} ${pin.at} ${moving && performance.now()}`;
+  const now = `${model.version.side} ${model.version.grids} ${innerWidth} ${innerHeight} ${layer()} ${lookedAt()} ${pin.at} ${moving && performance.now()}`;
   if (now !== drawn) { drawn = now; draw(); }
   requestAnimationFrame(refresh);
 }
@@ -64,7 +78,10 @@ for (const button of document.querySelectorAll("#tabs button")) {
 $("notice").addEventListener("click", () => notice(""));
 setUp();
 setUpWhere();
+setUpTools();
+setUpTimeline();
+setUpSound();
 connect(onMessage, showState);
-setInterval(showState, 500);
+setInterval(() => { showState(); showStale(); }, 500);
 requestAnimationFrame(refresh);
 window.fieldkit = model; // for a look from the console

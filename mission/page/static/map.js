@@ -1,5 +1,10 @@
 // The field in metres, north up: belief or what was searched, tracks, plans, sources with their 90 % region, robots.
-import { colourOf, model } from "./model.js";
+import { colourOf, model, shownFrame, shownGrid } from "./model.js";
+import { frameView, looking, X, Y, toMetres, toPixels } from "./mapview.js";
+import { setUpGestures } from "./gestures.js";
+import { grouped, Places } from "./labels.js";
+import { measure, said } from "./measure.js";
+import { sureness } from "./words.js";
 
 const canvas = document.getElementById("map");
 const pen = canvas.getContext("2d");
@@ -59,14 +64,6 @@ function imageOf(grid) {
   return image;
 }
 
-export function toMetres(event) {
-  const box = canvas.getBoundingClientRect();
-  return [view.east + (event.clientX - box.left - view.x) / view.scale, view.north - (event.clientY - box.top - view.y) / view.scale];
-}
-export const toPixels = ([east, north]) => [X(east), Y(north)];
-const X = (east) => view.x + (east - view.east) * view.scale;
-const Y = (north) => view.y - (north - view.north) * view.scale;
-
 function fit() {
   const ratio = Math.min(window.devicePixelRatio || 1, 2);
   const width = canvas.clientWidth;
@@ -77,13 +74,7 @@ function fit() {
   }
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   const field = model.hello.field;
-  const pad = { left: 44, right: 18, top: 54, bottom: 42 }; // axis labels, and the switch for the layers
-  const room = { east: width - pad.left - pad.right, north: height - pad.top - pad.bottom };
-  const scale = Math.min(room.east / field.east_m, room.north / field.north_m);
-  view = {
-    scale, width, height, east: field.east_m / 2, north: field.north_m / 2,
-    x: pad.left + room.east / 2, y: pad.top + room.north / 2,
-  };
+  view = frameView(width, height, field, shownFrame()?.robots ?? []);
 }
 
 function colours() {
@@ -132,10 +123,39 @@ function drawBackground() {
   }
 }
 
+function drawAxes(field) { // Lines over the field; their numbers stay in sight.
+  const step = STEPS_M.find((s) => s * view.scale >= 62) ?? STEPS_M.at(-1);
+  const [west, north] = toMetres([0, 0]);
+  const [east, south] = toMetres([view.width, view.height]);
+  const marks = (low, high, most) => {
+    const from = Math.max(0, Math.ceil(low / step));
+    const to = Math.floor(Math.min(most, high) / step + 1e-9);
+    return Array.from({ length: Math.max(0, to - from + 1) }, (_, k) => (from + k) * step);
+  };
+  const [easts, norths] = [marks(west, east, field.east_m), marks(south, north, field.north_m)];
+  const inside = (value, least, most) => Math.min(most, Math.max(least, value));
+  pen.lineWidth = 1;
+  pen.strokeStyle = css.line;
+  pen.fillStyle = css.dim;
+  pen.font = "11px system-ui";
+  pen.globalAlpha = 0.55;
+  pen.beginPath();
+  for (const e of easts) { pen.moveTo(X(e), Y(0)); pen.lineTo(X(e), Y(field.north_m)); }
+  for (const n of norths) { pen.moveTo(X(0), Y(n)); pen.lineTo(X(field.east_m), Y(n)); }
+  pen.stroke();
+  pen.globalAlpha = 1;
+  pen.textAlign = "center";
+  pen.textBaseline = "top";
+  for (const e of easts) pen.fillText(`${+e.toFixed(1)}`, X(e), inside(Y(0) + 6, 56, view.height - 40));
+  pen.textAlign = "right";
+  pen.textBaseline = "middle";
+  for (const n of norths) pen.fillText(`${+n.toFixed(1)}${n === 0 ? " m" : ""}`, inside(X(0) - 6, 30, view.width - 20), Y(n));
+}
+
 function drawGround(field, layer) {
   pen.clearRect(0, 0, view.width, view.height);
   drawBackground();
-  const grid = model.grids[layer];
+  const grid = shownGrid(layer);
   if (grid) {
     pen.imageSmoothingEnabled = layer === "exposure";
     const east = grid.n_east * grid.cell_m;
@@ -146,23 +166,7 @@ function drawGround(field, layer) {
     pen.drawImage(imageOf(grid), X(0), Y(north), east * view.scale, north * view.scale);
     pen.restore();
   }
-  const step = STEPS_M.find((s) => s * view.scale >= 62) ?? STEPS_M.at(-1);
-  pen.lineWidth = 1;
-  pen.strokeStyle = css.line;
-  pen.fillStyle = css.faint;
-  pen.font = "11px system-ui";
-  pen.globalAlpha = 0.55;
-  pen.beginPath();
-  for (let e = 0; e <= field.east_m + 1e-9; e += step) { pen.moveTo(X(e), Y(0)); pen.lineTo(X(e), Y(field.north_m)); }
-  for (let n = 0; n <= field.north_m + 1e-9; n += step) { pen.moveTo(X(0), Y(n)); pen.lineTo(X(field.east_m), Y(n)); }
-  pen.stroke();
-  pen.globalAlpha = 1;
-  pen.textAlign = "center";
-  pen.textBaseline = "top";
-  for (let e = 0; e <= field.east_m + 1e-9; e += step) pen.fillText(`${+e.toFixed(1)}`, X(e), Y(0) + 6);
-  pen.textAlign = "right";
-  pen.textBaseline = "middle";
-  for (let n = 0; n <= field.north_m + 1e-9; n += step) pen.fillText(`${+n.toFixed(1)}${n === 0 ? " m" : ""}`, X(0) - 6, Y(n));
+  drawAxes(field);
   path(field.fence_m, true);
   pen.strokeStyle = css.dim;
   pen.lineWidth = 1.5;
@@ -190,7 +194,7 @@ function drawAreas(areas) {
 
 function drawTracks(frame) {
   for (const robot of frame.robots) {
-    const track = model.tracks[robot.name] ?? [];
+    const track = (model.tracks[robot.name] ?? []).filter((point) => point[0] <= frame.t_s);
     const colour = colourOf(robot.name);
     pen.strokeStyle = colour;
     pen.lineJoin = "round";
@@ -213,29 +217,41 @@ function drawTracks(frame) {
   }
 }
 
-function drawSources(frame) {
-  for (const source of frame.sources) {
-    const colour = css[source.state] ?? css.inconsistent;
-    const x = X(source.east_m);
-    const y = Y(source.north_m);
-    const [a, b] = source.half_axes_m;
-    const is = { found: source.state === "found", removed: source.state === "removed" };
-    if (a !== null && !is.removed) {
-      pen.beginPath();
-      pen.ellipse(x, y, Math.max(2, a * view.scale), Math.max(2, b * view.scale), (-source.turn_deg * Math.PI) / 180, 0, 7);
-      pen.strokeStyle = colour;
-      pen.lineWidth = is.found ? 2 : 1.5;
-      if (!is.found) pen.setLineDash([5, 4]);
-      pen.stroke();
-      pen.setLineDash([]);
-      pen.globalAlpha = 0.12 * Math.min(1, 0.1 + 3 * source.p); pen.fillStyle = colour; pen.fill(); pen.globalAlpha = 1;
-    }
-    pen.strokeStyle = css.map; pen.lineWidth = 5; cross(x, y, is.removed); pen.stroke();
-    pen.strokeStyle = colour; pen.lineWidth = 2.5; cross(x, y, is.removed); pen.stroke();
-    const right = x > view.width - 70; // near the edge words go to the other side
-    pen.textAlign = right ? "right" : "left"; pen.textBaseline = "bottom";
-    const words = is.removed ? "removed" : source.state === "inconsistent" ? "?" : source.state === "outside" ? "outside" : `${Math.round(100 * source.p)} %`;
-    halo(`${source.ident}  ${words}`, x + (right ? -9 : 9), y - 5, colour, "700 12px system-ui");
+function drawRegion(source, colour) { // Its 90 % region.
+  const [a, b] = source.half_axes_m;
+  if (a === null || source.state === "removed") return;
+  pen.beginPath();
+  pen.ellipse(X(source.east_m), Y(source.north_m), Math.max(2, a * view.scale), Math.max(2, b * view.scale), (-source.turn_deg * Math.PI) / 180, 0, 7);
+  pen.strokeStyle = colour;
+  pen.lineWidth = source.state === "found" ? 2 : 1.5;
+  if (source.state !== "found") pen.setLineDash([5, 4]);
+  pen.stroke();
+  pen.setLineDash([]);
+  pen.globalAlpha = 0.12 * Math.min(1, 0.1 + 3 * source.p); pen.fillStyle = colour; pen.fill(); pen.globalAlpha = 1;
+}
+
+const SHORT = { removed: "removed", inconsistent: "?", outside: "outside" };
+function wordsOf({ source, also }) {
+  const sure = source.state === "found" ? sureness(source).replace(", 90 % sure", "") : `${Math.round(100 * source.p)} %`;
+  return `${source.ident}  ${SHORT[source.state] ?? sure}${also.length ? `  (+${also.length} near)` : ""}`;
+}
+
+const NEAR_PX = 16;
+function drawSources(frame, places) {
+  const groups = grouped(frame.sources, toPixels, NEAR_PX);
+  for (const { source } of groups) drawRegion(source, css[source.state] ?? css.inconsistent);
+  for (const { source, x, y } of groups) {
+    const removed = source.state === "removed";
+    pen.strokeStyle = css.map; pen.lineWidth = 5; cross(x, y, removed); pen.stroke();
+    pen.strokeStyle = css[source.state] ?? css.inconsistent; pen.lineWidth = 2.5; cross(x, y, removed); pen.stroke();
+    places.block(x, y, 8);
+  }
+  pen.textAlign = "left"; pen.textBaseline = "top";
+  pen.font = "700 12px system-ui";
+  for (const group of groups) { // what is found has the first choice of where its words go
+    const text = wordsOf(group);
+    const { left, top, free } = places.place(group.x, group.y, pen.measureText(text).width, 14);
+    if (free || group.source.state !== "candidate") halo(text, left, top, css[group.source.state] ?? css.inconsistent, "700 12px system-ui");
   }
 }
 function cross(x, y, turned) {
@@ -271,9 +287,10 @@ function drawHearing(frame) { // A ring runs out from each robot that has just h
   }
 }
 
-function drawRobots(frame) {
+function drawRobots(frame, places) {
   for (const robot of frame.robots) {
     if (robot.east_m === null) continue;
+    places.block(X(robot.east_m), Y(robot.north_m), 11);
     const x = X(robot.east_m);
     const y = Y(robot.north_m);
     const lost = !robot.link_up || robot.pose_age_s > model.hello.pose_timeout_s;
@@ -287,10 +304,18 @@ function drawRobots(frame) {
     pen.fillStyle = colourOf(robot.name); pen.globalAlpha = lost ? 0.45 : 1; pen.fill();
     pen.strokeStyle = css.map; pen.lineWidth = 1.5; pen.stroke();
     pen.restore();
-    pen.textAlign = "center"; pen.textBaseline = "top";
-    halo(robot.name, x, y + 12, lost || robot.call ? css.bad : css.text);
+  }
+  pen.textAlign = "left"; pen.textBaseline = "top";
+  pen.font = "600 12px system-ui";
+  for (const robot of frame.robots) {
+    if (robot.east_m === null) continue;
+    const bad = robot.call || !robot.link_up || robot.pose_age_s > model.hello.pose_timeout_s;
+    const name = shortName(robot.name);
+    const { left, top } = places.place(X(robot.east_m), Y(robot.north_m), pen.measureText(name).width, 14, 10);
+    halo(name, left, top, bad ? css.bad : css.text);
   }
 }
+const shortName = (name) => (name.length > 16 ? `${name.slice(0, 15)}…` : name);
 
 const STEPS_M = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000];
 
@@ -339,29 +364,71 @@ function drawArea() {
   for (const [east, north] of corners) { pen.beginPath(); pen.arc(X(east), Y(north), 4, 0, 7); pen.fillStyle = css.bad; pen.fill(); }
 }
 
+function drawMeasure() {
+  const points = measure.points.length === 1 && pointer ? [...measure.points, pointer] : measure.points;
+  if (!points.length) return;
+  for (const [colour, width] of [[css.map, 6], [css.accent, 2.5]]) { path(points); pen.strokeStyle = colour; pen.lineWidth = width; pen.stroke(); }
+  for (const [east, north] of points) { pen.beginPath(); pen.arc(X(east), Y(north), 4, 0, 7); pen.fillStyle = css.accent; pen.fill(); }
+  if (points.length < 2) return;
+  pen.textAlign = "center"; pen.textBaseline = "bottom";
+  const [x, y] = [0, 1].map((k) => (toPixels(points[0])[k] + toPixels(points[1])[k]) / 2);
+  halo(said(...points), x, y - 8, css.text, "700 13px system-ui");
+}
+
 export function draw() {
   if (!model.hello || canvas.clientWidth === 0) return;
   fit();
   const layer = document.querySelector("#layers input:checked").value;
   drawGround(model.hello.field, layer);
-  const frame = model.frame;
+  const frame = shownFrame();
   if (frame) {
+    const places = new Places(view.width, view.height);
     drawAreas(frame.areas_m);
     drawTracks(frame);
-    drawSources(frame);
+    drawSources(frame, places);
     drawMarks(frame.marks);
-    drawHearing(frame);
-    drawRobots(frame);
+    if (frame === model.frame) drawHearing(frame);
+    drawRobots(frame, places);
   }
   drawPin();
   drawArea();
+  drawMeasure();
   drawNorthAndScale();
-  const grid = model.grids[layer];
+  const grid = shownGrid(layer);
   $credit.textContent = model.hello.background?.credit ?? "";
   document.getElementById("legend").textContent = !grid ? "" : layer === "belief"
-    ? `a source is in the cell: up to ${grid.largest.toPrecision(2)}`
+    ? `source in a cell: up to ${+(100 * grid.largest).toPrecision(2)} %`
     : "a source there would have been heard";
 }
 
-canvas.addEventListener("pointerdown", (event) => { if (area.drawing && view) corners.push(toMetres(event).map((v) => +v.toFixed(2))); });
-canvas.addEventListener("pointermove", (event) => { pointer = area.drawing && view ? toMetres(event) : null; });
+const HIT_PX = 16;
+function hit([x, y]) { // The source or robot under a finger, the nearest first.
+  const frame = shownFrame();
+  if (!frame) return null;
+  const things = [
+    ...frame.sources.map((source) => ({ source, east_m: source.east_m, north_m: source.north_m })),
+    ...frame.robots.filter((robot) => robot.east_m !== null).map((robot) => ({ robot, east_m: robot.east_m, north_m: robot.north_m })),
+  ];
+  const far = (thing) => Math.hypot(X(thing.east_m) - x, Y(thing.north_m) - y);
+  const nearest = things.sort((a, b) => far(a) - far(b))[0];
+  return nearest && far(nearest) <= HIT_PX ? nearest : null;
+}
+
+export const taps = { onPlace() {}, onSource() {}, onRobot() {} }; // what others do about them
+setUpGestures(canvas, {
+  onTap(pixel) {
+    if (!view) return;
+    const place = toMetres(pixel).map((value) => +value.toFixed(2));
+    if (area.drawing) { corners.push(place); return; }
+    if (measure.on) { measure.take(place); model.version.grids += 1; return; }
+    const thing = hit(pixel);
+    if (thing?.source) taps.onSource(thing.source);
+    else if (thing?.robot) taps.onRobot(thing.robot);
+    else taps.onPlace(...place);
+  },
+  onMove(pixel) {
+    pointer = pixel && view && (area.drawing || measure.on) ? toMetres(pixel) : null;
+    if (measure.points.length === 1) model.version.grids += 1;
+  },
+});
+export const lookedAt = () => `${looking.version} ${measure.on}`; // the map changes with it

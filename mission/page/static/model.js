@@ -3,8 +3,12 @@ export const MOST = { track: 1500, series: 600, detections: 120, notes: 250 };
 
 export const model = {
   hello: null, frame: null, grids: {}, tracks: {}, series: [], detections: [], notes: [],
+  past: null, // a moment looked back at: its frame and grids
   mayCommand: false, connected: false, heardAt: 0, version: { side: 0, grids: 0 },
 };
+
+export const shownFrame = () => model.past?.frame ?? model.frame;
+export const shownGrid = (name) => (model.past ? model.past.grids[name] : model.grids[name]);
 
 // Colours that differ for colour-blind eyes and on both grounds (after Okabe and Ito), then turns of the wheel.
 const WHEEL = ["#56b4e9", "#e69f00", "#cc79a7", "#0fb68a", "#f0e442", "#d55e00", "#8c7ae6", "#4a90d9"];
@@ -21,6 +25,13 @@ function thin(rows, most) { // Drop every second of the older ones, as the serve
 }
 function bounded(rows, most) { if (rows.length > most) rows.splice(0, rows.length - most); }
 
+function unpacked(grid) {
+  const raw = atob(grid.data);
+  const cells = new Uint8Array(raw.length);
+  for (let i = 0; i < raw.length; i += 1) cells[i] = raw.charCodeAt(i);
+  return { ...grid, data: null, cells };
+}
+
 const take = {
   hello(message) {
     model.hello = message;
@@ -36,11 +47,12 @@ const take = {
     model.version.side += 1;
   },
   grid(message) {
-    const raw = atob(message.data);
-    const cells = new Uint8Array(raw.length);
-    for (let i = 0; i < raw.length; i += 1) cells[i] = raw.charCodeAt(i);
-    model.grids[message.name] = { ...message, data: null, cells };
+    model.grids[message.name] = unpacked(message);
     model.version.grids += 1;
+  },
+  past(message) {
+    model.past = { frame: message.frame, grids: Object.fromEntries(message.grids.map((grid) => [grid.name, unpacked(grid)])) };
+    model.version.side += 1;
   },
   frame(message) {
     model.frame = message;

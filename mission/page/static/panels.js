@@ -3,7 +3,9 @@
 import { colourOf, model } from "./model.js";
 import { press } from "./commands.js";
 import { element } from "./dom.js";
+import { follow, lookAt } from "./mapview.js";
 import { showWhere } from "./where.js";
+import { STATES, sureness } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 const made = { robots: new Map(), sources: new Map() };
@@ -21,6 +23,24 @@ function set(node, text, kind) {
 const FIGURES = [
   ["battery", "battery"], ["fence", "to the fence"], ["link", "link"], ["pose", "position"],
 ];
+
+const MANY = 6; // of more robots than these the cards are folded
+function fold(part, folded) {
+  part.card.classList.toggle("folded", folded);
+  part.fold.textContent = folded ? "▸" : "▾";
+  part.fold.setAttribute("aria-expanded", String(!folded));
+}
+
+// Its card in sight, for a moment marked: it was tapped on the map.
+export function showRobot(name) {
+  document.querySelector('#tabs [data-tab="robots"]').click();
+  const part = made.robots.get(name);
+  if (!part) return;
+  fold(part, false);
+  part.card.scrollIntoView({ block: "nearest", behavior: "smooth" });
+  part.card.classList.add("marked");
+  setTimeout(() => part.card.classList.remove("marked"), 1500);
+}
 
 function makeCard(name) {
   const part = {
@@ -43,8 +63,14 @@ function makeCard(name) {
   }
   const dot = element("span", { className: "dot" });
   dot.style.background = colourOf(name);
-  const head = element("div", { className: "head" }, dot, element("span", { className: "name", textContent: name }), part.mode, part.doing);
+  part.name = element("button", { className: "name", textContent: name, title: "Follow it on the map" });
+  part.name.addEventListener("click", () => { follow(name); model.version.side += 1; });
+  part.fold = element("button", { className: "fold", title: "More or less of it" });
+  part.fold.setAttribute("aria-label", `${name}: more or less`);
+  part.fold.addEventListener("click", () => fold(part, !part.card.classList.contains("folded")));
+  const head = element("div", { className: "head" }, dot, part.name, part.mode, part.doing, part.fold);
   part.card = element("article", { className: "card" }, head, part.call, figures, part.last, acts);
+  fold(part, (model.hello.robots.length > MANY));
   part.card.dataset.robot = name;
   return part;
 }
@@ -57,9 +83,11 @@ function fillCard(part, robot) {
   part.doing.classList.toggle("bad", !robot.radio_up);
   set(part.call, robot.call);
   part.call.hidden = !robot.call;
+  part.card.classList.toggle("calls", Boolean(robot.call) || lost);
   const low = robot.battery_pct !== null && robot.battery_pct <= robot.reserve_pct + 10;
-  set(part.battery, robot.battery_pct === null ? "–" : `${Math.round(robot.battery_pct)} / ${Math.round(robot.reserve_pct)} %`,
+  set(part.battery, robot.battery_pct === null ? "–" : `${Math.round(robot.battery_pct)} %`,
     robot.battery_pct !== null && robot.battery_pct <= robot.reserve_pct ? "bad" : low ? "warn" : "");
+  part.battery.title = `goes home at ${Math.round(robot.reserve_pct)} %`;
   set(part.fence, robot.fence_m === null ? "–" : `${robot.fence_m.toFixed(1)} m`, robot.fence_m !== null && robot.fence_m < 0 ? "bad" : "");
   set(part.link, age(robot.link_age_s), robot.link_age_s > 5 ? "bad" : robot.link_age_s > 2 ? "warn" : "");
   set(part.pose, age(robot.pose_age_s), robot.pose_age_s > model.hello.pose_timeout_s ? "bad" : "");
@@ -101,15 +129,21 @@ function makeSource(ident) {
   part.button.dataset.source = ident;
   part.button.addEventListener("click", () => press(part.button, "remove", { source: ident }, true));
   const acts = element("div", { className: "acts" }, part.button);
-  part.where.addEventListener("click", () => showWhere(...part.at, `Source ${ident}`));
+  part.where.addEventListener("click", () => { lookAt(...part.at); showWhere(...part.at, `Source ${ident}`); });
   part.row = element("div", { className: "source" }, part.ident, element("div", {}, part.where, element("br"), part.more), part.p, acts);
   return part;
 }
 
+const FAINT = 0.05;
+const MOST_SOURCES = 60;
 function sources(frame) {
   const box = $("sources").querySelector(".rows");
-  const rank = { found: 0, candidate: 1, inconsistent: 2, removed: 3 };
-  const shown = [...frame.sources].sort((a, b) => rank[a.state] - rank[b.state] || b.p - a.p).slice(0, 30);
+  const rank = { found: 0, candidate: 1, inconsistent: 2, outside: 3, removed: 4 };
+  const sorted = [...frame.sources].sort((a, b) => rank[a.state] - rank[b.state] || b.p - a.p);
+  const faint = sorted.filter((source) => source.state === "candidate" && source.p < FAINT);
+  const shown = sorted.filter((source) => !faint.includes(source)).slice(0, MOST_SOURCES);
+  const faintest = faint.length ? `and ${faint.length} candidate${faint.length > 1 ? "s" : ""} below ${100 * FAINT} %, on the map only` : "";
+  set($("faint-sources"), faintest);
   const now = new Set(shown.map((source) => source.ident));
   for (const [ident, part] of made.sources) if (!now.has(ident)) { part.row.remove(); made.sources.delete(ident); }
   shown.forEach((source, index) => {
@@ -120,8 +154,8 @@ function sources(frame) {
     part.at = [source.east_m, source.north_m];
     set(part.where, `${source.east_m.toFixed(1)} m E, ${source.north_m.toFixed(1)} m N`);
     set(part.p, `${Math.round(100 * source.p)} %`, `p ${source.state}`);
-    const spread = source.half_axes_m[0] === null ? "" : `90 % in ${source.half_axes_m[0].toFixed(1)} m`;
-    set(part.more, [source.state, spread, `heard ${source.receptions.toFixed(0)}×`, source.note].filter(Boolean).join(" · "));
+    const spread = source.state === "outside" || source.state === "removed" ? "" : sureness(source);
+    set(part.more, [STATES[source.state], spread, `heard ${source.receptions.toFixed(0)}×`, source.note].filter(Boolean).join(" · "));
     part.button.parentElement.hidden = !model.hello.live || source.state === "removed" || source.state === "candidate";
     part.button.disabled = !model.mayCommand;
   });
@@ -170,4 +204,8 @@ export function fill() {
   set($("candidates"), String(frame.sources.filter((s) => s.state === "candidate" || s.state === "inconsistent").length));
   set($("detections"), String(frame.detections));
   set($("left"), `${Math.round(100 * frame.left)} %`);
+  set($("recording"), frame.recording ?? "");
+  set($("viewers"), frame.viewers > 1 ? `${frame.viewers} look, ${frame.commanders} may command` : "");
+  $("hold-all").disabled = !model.mayCommand || Boolean(frame.end);
+  for (const button of document.querySelectorAll("#commands button")) button.disabled = !model.mayCommand || Boolean(frame.end);
 }

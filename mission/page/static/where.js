@@ -1,5 +1,6 @@
 // A tap on the map says where that is, in metres, degrees, UTM and MGRS; a tap on one of these copies it.
-import { area, pin, toMetres } from "./map.js";
+import { pin, taps } from "./map.js";
+import { STATES, sureness } from "./words.js";
 import { element } from "./dom.js";
 
 const $ = (id) => document.getElementById(id);
@@ -55,9 +56,9 @@ export function hideWhere() {
 }
 
 export function setUpWhere() {
-  $("map").addEventListener("click", (event) => {
-    if (area.drawing) return;
-    const [east, north] = toMetres(event);
-    showWhere(east, north);
-  });
+  taps.onPlace = (east, north) => showWhere(east, north);
+  taps.onSource = (source) => {
+    const sure = source.state === "candidate" ? `here with ${Math.round(100 * source.p)} %` : sureness(source);
+    showWhere(source.east_m, source.north_m, `Source ${source.ident}: ${[STATES[source.state], sure].filter(Boolean).join(", ")}`);
+  };
 }
