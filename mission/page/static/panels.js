@@ -170,8 +170,8 @@ function signals() {
     const bars = element("div", { className: "bars" });
     for (const [name, dbm] of Object.entries(heard.heard_dbm)) {
       const meter = element("meter", { min: -100, max: -30, value: dbm });
-      const level = element("span", { className: "level" }, element("span", { textContent: name }), meter, `${Math.round(dbm)} dBm`);
-      level.firstChild.style.color = colourOf(name);
+      const level = element("span", { className: "level" }, element("span", { className: "who", textContent: name }), meter, `${Math.round(dbm)} dBm`);
+      level.firstChild.style.borderColor = colourOf(name);
       bars.append(level);
     }
     return element("div", { className: "signal" }, element("time", { textContent: clock(heard.t_s) }), bars);
