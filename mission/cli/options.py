@@ -35,6 +35,13 @@ def print_json(value: Any) -> None:
     typer.echo(json.dumps(value, indent=2, allow_nan=False, default=str))
 
 
+def print_code(address: str) -> None:
+    """The address as a QR code on standard error: a phone's camera reads it sooner than a thumb types it."""
+    import segno
+
+    segno.make(address, error="l", micro=False).terminal(out=sys.stderr, border=2, compact=True)
+
+
 @contextmanager
 def shown_page(mission: "Mission", wanted: bool, host: str, port: int) -> "Iterator[LivePage | None]":
     """The live page, and where to find it, on standard error."""
@@ -47,6 +54,8 @@ def shown_page(mission: "Mission", wanted: bool, host: str, port: int) -> "Itera
     with serve.live(mission, host=host, port=port) as shown:
         say(f"to look and command, open  {shown.page.command_address}")
         say(f"only to look:              {shown.page.address}")
+        if shown.page.is_reached_by_others and sys.stderr.isatty():
+            print_code(shown.page.command_address)
         if sys.stdin is not None and sys.stdin.isatty():
             say(HELP)
         yield shown

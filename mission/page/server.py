@@ -39,6 +39,8 @@ FILES = {path.name: path for path in STATIC.iterdir() if path.suffix in (".html"
 NEWS_WAITING = 200
 """News kept for a browser that does not take them."""
 LONGEST_MESSAGE = 16_384
+MOST_VIEWERS = 64
+"""Browsers at a time; of more, the one that has looked for longest without the token makes room."""
 SEND_TIMEOUT_S = 10.0
 """A browser that takes nothing for this long is let go."""
 LAST_WORDS_S = 2.0
@@ -92,6 +94,7 @@ class Mailbox:
         self.dropped = 0
         self.may_command = False
         """Its browser has shown the token."""
+        self.let_go = False
 
     def put(self, slot: str, text: str) -> None:
         """Something of which only the newest counts."""
@@ -153,7 +156,9 @@ class Page:
         self.loop: asyncio.AbstractEventLoop | None = None
         """The server's event loop, while it runs."""
         self.clients = 0
-        self._mailboxes: set[Mailbox] = set()
+        self._mailboxes: dict[Mailbox, WebSocket] = {}
+        """Who looks, the first that came first."""
+        self._leaving: set[asyncio.Task[None]] = set()
         self._ready = threading.Event()
         app = Starlette(
             routes=[
@@ -176,6 +181,11 @@ class Page:
     def commanders(self) -> int:
         """Browsers that have shown the token."""
         return sum(mailbox.may_command for mailbox in tuple(self._mailboxes))
+
+    @property
+    def is_reached_by_others(self) -> bool:
+        """Whether other devices in the network reach it."""
+        return self.host not in ("localhost", "::1") and not self.host.startswith("127.")
 
     @property
     def address(self) -> str:
@@ -256,7 +266,8 @@ class Page:
         await websocket.accept()
         mailbox = Mailbox()
         self.clients += 1
-        self._mailboxes.add(mailbox)
+        self._mailboxes[mailbox] = websocket
+        self._make_room()
         self._show.open(mailbox)
         sending = asyncio.create_task(_send(websocket, mailbox))
         try:
@@ -265,10 +276,21 @@ class Page:
             pass
         finally:
             self.clients -= 1
-            self._mailboxes.discard(mailbox)
+            self._mailboxes.pop(mailbox, None)
             self._show.close(mailbox)
             sending.cancel()
             await asyncio.wait({sending})
+
+    def _make_room(self) -> None:
+        """Idle viewers never lock the operator out."""
+        stay = [each for each in self._mailboxes if not each.let_go]
+        looking = [each for each in stay if not each.may_command]
+        if len(stay) <= MOST_VIEWERS or len(looking) < 2:  # the newest may be about to show the token
+            return
+        looking[0].let_go = True
+        leaving = asyncio.create_task(_close(self._mailboxes[looking[0]]))
+        self._leaving.add(leaving)
+        leaving.add_done_callback(self._leaving.discard)
 
     async def _receive(self, websocket: WebSocket, mailbox: Mailbox) -> None:
         may_command = False
@@ -317,6 +339,11 @@ async def _send(websocket: WebSocket, mailbox: Mailbox) -> None:
     except (WebSocketDisconnect, RuntimeError, TimeoutError, OSError):
         with contextlib.suppress(Exception):
             await websocket.close(1008)
+
+
+async def _close(websocket: WebSocket) -> None:
+    with contextlib.suppress(Exception):  # however it goes, it goes
+        await asyncio.wait_for(websocket.close(1013, "too many look"), SEND_TIMEOUT_S)
 
 
 def own_address() -> str:

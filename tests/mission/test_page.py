@@ -1,5 +1,7 @@
 """The page without a browser: what is kept for a slow one, what is built up from the stream, who may ask."""
 
+import json
+import re
 import socket
 from pathlib import Path
 from typing import Any, cast
@@ -21,8 +23,16 @@ from fieldkit.messages import (
 from mission.lab.synthetic import small_mission
 from mission.page.commands import checked_command
 from mission.page.exposure import Exposure
-from mission.page.live import LiveShow
-from mission.page.server import NEWS_WAITING, Mailbox, Page, is_known_host, is_own_origin, own_address
+from mission.page.live import PAST_EVERY_S, LiveShow
+from mission.page.server import (
+    MOST_VIEWERS,
+    NEWS_WAITING,
+    Mailbox,
+    Page,
+    is_known_host,
+    is_own_origin,
+    own_address,
+)
 from mission.page.view import View, grid, thin
 
 S = 1_000_000_000
@@ -69,6 +79,7 @@ def test_a_frame_says_how_each_robot_is(tmp_path: Path) -> None:
 def test_ticks_in_quick_succession_make_no_more_than_a_few_frames_a_second(tmp_path: Path) -> None:
     class Looked:
         clients = 1
+        commanders = 0
         calls = 0
 
         def call(self, action: object) -> None:
@@ -172,3 +183,63 @@ def test_only_names_of_this_machine_and_addresses_are_known_hosts() -> None:
         assert not is_known_host(host, "127.0.0.1")
     assert is_own_origin(None, "a:1") and is_own_origin("http://a:1", "a:1")
     assert not is_own_origin("http://b:1", "a:1") and not is_own_origin("null", "a:1")
+
+
+def test_idle_viewers_do_not_lock_the_operator_out(tmp_path: Path) -> None:
+    from contextlib import ExitStack
+
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    show = LiveShow(View(small_mission(tmp_path)))
+    done: list[str] = []
+    with Page(show, lambda command: done.append(command["action"]) or "") as page, ExitStack() as open_ones:
+        show.page = page
+        address = page.address.replace("http", "ws") + "live"
+        idle = [open_ones.enter_context(connect(address)) for _ in range(MOST_VIEWERS)]
+        operator = open_ones.enter_context(connect(address))
+        operator.send(json.dumps({"kind": "token", "token": page.token}))
+        for _ in range(20):  # more come, and the operator stays
+            open_ones.enter_context(connect(address))
+        operator.send(json.dumps({"kind": "command", "number": 1, "action": "hold"}))
+        answers = iter(lambda: json.loads(operator.recv(timeout=10)), None)
+        assert next(each for each in answers if each["kind"] == "answer")["ok"]
+        assert done == ["hold"] and page.commanders == 1 and page.clients <= MOST_VIEWERS + 1
+        with pytest.raises(ConnectionClosed):
+            while True:
+                idle[0].recv(timeout=10)
+
+
+def test_one_looks_back_at_a_mission_under_way(tmp_path: Path) -> None:
+    show = LiveShow(View(small_mission(tmp_path)))
+    for second in range(60):
+        show.event(2 * second, second * S, Pose(second * S, "r1", 0.1 * second, 4.0, 0.0, 90.0))
+        show.event(2 * second + 1, second * S, Tick(second * S))
+    mailbox = Mailbox()
+    for asked, most_s in ((20, 20.0), (-5, 1.0), (float("nan"), 60.0), (None, 60.0)):
+        show.asked(mailbox, {"kind": "look", "t_s": asked})
+        past = json.loads(mailbox._newest["past"])
+        assert past["kind"] == "past" and most_s - PAST_EVERY_S <= past["frame"]["t_s"] <= most_s
+    show.asked(mailbox, {"kind": "seek", "t_s": 3})
+    assert list(mailbox._newest) == ["past"]
+
+
+def test_the_code_for_a_phone_is_the_address(capsys: pytest.CaptureFixture[str]) -> None:
+    cv2 = pytest.importorskip("cv2", reason="pip install .[dev]")
+    from mission.cli.options import print_code
+
+    print_code("http://192.0.2.7:8321/#abcDEF123")
+    rows = capsys.readouterr().err.splitlines()
+    halves = {"█": (0, 0), " ": (1, 1), "▀": (0, 1), "▄": (1, 0)}
+    cells = [[halves[c] for c in row if c in halves] for row in map(strip_colours, rows) if row]
+    picture = np.array([[each[half] for each in row] for row in cells for half in (0, 1)], np.uint8)
+    said, *_ = cv2.QRCodeDetector().detectAndDecode(np.kron(picture * 255, np.ones((8, 8), np.uint8)))
+    if not said:  # printed light on dark, or dark on light
+        said, *_ = cv2.QRCodeDetector().detectAndDecode(
+            np.kron(255 - picture * 255, np.ones((8, 8), np.uint8))
+        )
+    assert said == "http://192.0.2.7:8321/#abcDEF123"
+
+
+def strip_colours(text: str) -> str:
+    return re.sub(r"\x1b\[[0-9;]*m", "", text)
