@@ -134,6 +134,7 @@ def _summary(vehicle: Vehicle) -> dict[str, Any]:
         "battery_pct": vehicle.battery_pct,
         "heartbeats": vehicle.heartbeats,
         "has_position": vehicle.position_s > float("-inf"),
+        "place_deg": None if vehicle.place is None else [each / 1e7 for each in vehicle.place],
         "address": str(vehicle.peer),
         "two_with_this_id": bool(vehicle.doubles),
         "texts": [text for _, text, _ in vehicle.texts][-3:],

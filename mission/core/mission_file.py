@@ -82,6 +82,11 @@ def read_mission(path: Path | str) -> Mission:
         raise ConfigError(f"{path}: is no text in UTF-8 ({error}); name a mission file") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return mission_of(text, path)
+
+
+def mission_of(text: str, path: Path) -> Mission:
+    """A mission from its text, as if it stood at `path`; the antenna file is read. Raises `ConfigError`."""
     file = parse_mission(text.removeprefix("\ufeff"), str(path))
     antenna_path = path.parent / file.antenna.file
     antenna = read_antenna(

@@ -67,6 +67,10 @@ class Answers:
             "/background/{name}": self._background,
         }
 
+    def posts(self) -> Mapping[str, Answer]:
+        """Nothing: all of it only looks."""
+        return {}
+
     async def _where(self, request: Request) -> Response:
         try:
             east_m, north_m = (float(request.query_params[key]) for key in ("east_m", "north_m"))

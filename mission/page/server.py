@@ -77,6 +77,10 @@ class Answers(Protocol):
         """Paths, and what answers there, in the server's loop."""
         ...
 
+    def posts(self) -> Mapping[str, Callable[[Request], Awaitable[Response]]]:
+        """The same for what is posted."""
+        ...
+
     async def end(self) -> None:
         """Whatever still goes out ends."""
         ...
@@ -142,15 +146,16 @@ class Page:
         host: str = "127.0.0.1",
         port: int = 0,
         answers: Answers | None = None,
+        front: str = "page.html",
     ) -> None:
         """`on_command` is called in the server's thread with a checked command and says why it is refused, or nothing.
 
-        None: nobody may command. `answers` serves other paths than the page's own.
+        None: nobody may command. `answers` serves other paths than the page's own; `front` is the file at its root.
         """
         self.token = secrets.token_urlsafe(16)
         self._show = show
         self._on_command = on_command
-        self._answers = answers
+        self._answers, self._front = answers, front
         self._socket = _bound(host, port)
         self.host, self.port = host, int(self._socket.getsockname()[1])
         self.loop: asyncio.AbstractEventLoop | None = None
@@ -166,6 +171,10 @@ class Page:
                 *(
                     Route(path, self._guarded(answer))
                     for path, answer in (answers.routes() if answers else {}).items()
+                ),
+                *(
+                    Route(path, self._guarded(answer, posted=True), methods=["POST"])
+                    for path, answer in (answers.posts() if answers else {}).items()
                 ),
                 Route("/", self._file, name="page"),
                 Route("/{name}", self._file),
@@ -242,10 +251,13 @@ class Page:
 
     # -- what browsers ask for -------------------------------------------------------------------------------
 
-    def _guarded(self, answer: Callable[[Request], Awaitable[Response]]) -> Any:
+    def _guarded(self, answer: Callable[[Request], Awaitable[Response]], *, posted: bool = False) -> Any:
         async def answered(request: Request) -> Response:
-            if not is_known_host(request.headers.get("host", ""), self.host):
+            host = request.headers.get("host", "")
+            if not is_known_host(host, self.host):
                 return PlainTextResponse(UNKNOWN_HOST, 421)
+            if posted and not is_own_origin(request.headers.get("origin"), host):
+                return PlainTextResponse("another page may not do this", 403)
             return await answer(request)
 
         return answered
@@ -253,7 +265,7 @@ class Page:
     async def _file(self, request: Request) -> Response:
         if not is_known_host(request.headers.get("host", ""), self.host):
             return PlainTextResponse(UNKNOWN_HOST, 421)
-        path = FILES.get(request.path_params.get("name", "page.html"))
+        path = FILES.get(request.path_params.get("name", self._front))
         if path is None:
             return PlainTextResponse("there is no such file", 404)
         return FileResponse(path, headers=HEADERS)

@@ -82,3 +82,17 @@ def test_a_recording_has_no_finding(browser: Any, tmp_path: Path) -> None:
     with serve.past(open_recording(recorded)) as page, looking(browser, page.address) as tab:
         tab.wait_for_function("() => window.fieldkit.frame")
         assert not found_wrong(tab)
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), LOOKS)
+def test_the_mission_editor_has_no_finding(
+    browser: Any, tmp_path: Path, width: int, height: int, scheme: str
+) -> None:
+    from mission.plan.serve import plan
+
+    look = {"viewport": {"width": width, "height": height}, "color_scheme": scheme}
+    with plan(tmp_path / "mission.toml") as page, looking(browser, page.command_address, **look) as tab:
+        tab.wait_for_selector("#remarks li")
+        tab.click("#add")
+        tab.wait_for_selector(".robot")
+        assert not found_wrong(tab)

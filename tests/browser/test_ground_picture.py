@@ -39,7 +39,7 @@ def test_each_quarter_of_the_picture_is_in_its_quarter_of_the_field(browser: Any
         for name, (east_m, north_m) in PLACES.items():
             seen = tab.evaluate(
                 """async ([east, north]) => {
-                  const { toPixels } = await import("/map.js");
+                  const { toPixels } = await import("/mapview.js");
                   const canvas = document.getElementById("map");
                   const ratio = canvas.width / canvas.clientWidth;
                   const [x, y] = toPixels([east, north]);

@@ -4,7 +4,8 @@ import { panBy, showWhole, zoomAt, zoomBy } from "./mapview.js";
 const TAP_PX = 8;
 const STEP_PX = 60;
 
-export function setUpGestures(canvas, { onTap, onMove }) {
+// `onView` is called when the map has been moved.
+export function setUpGestures(canvas, { onTap, onMove, onView = () => {} }) {
   const down = new Map(); // pointers on the map
   let travelled = 0;
 
@@ -35,8 +36,10 @@ export function setUpGestures(canvas, { onTap, onMove }) {
       travelled += TAP_PX;
       panBy(is.middle[0] - was.middle[0], is.middle[1] - was.middle[1]);
       if (was.apart > 0) zoomAt(is.middle, is.apart / was.apart);
+      onView();
     } else if (travelled > TAP_PX && down.size === 1) {
       panBy(now[0] - before[0], now[1] - before[1]);
+      onView();
     }
   });
   canvas.addEventListener("pointerup", (event) => {
@@ -48,12 +51,13 @@ export function setUpGestures(canvas, { onTap, onMove }) {
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
     zoomAt(at(event), Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)));
+    onView();
   }, { passive: false });
   canvas.addEventListener("keydown", (event) => {
     const act = {
       ArrowLeft: () => panBy(STEP_PX, 0), ArrowRight: () => panBy(-STEP_PX, 0), ArrowUp: () => panBy(0, STEP_PX), ArrowDown: () => panBy(0, -STEP_PX),
       "+": () => zoomBy(1.4), "=": () => zoomBy(1.4), "-": () => zoomBy(1 / 1.4), 0: showWhole,
     }[event.key];
-    if (act && !event.ctrlKey && !event.metaKey && !event.altKey) { event.preventDefault(); act(); }
+    if (act && !event.ctrlKey && !event.metaKey && !event.altKey) { event.preventDefault(); act(); onView(); }
   });
 }

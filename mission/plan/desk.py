@@ -1,0 +1,86 @@
+"""The draft on the desk of the editor: held in memory, judged as it changes, written when it is asked for."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from fieldkit import plugins
+from fieldkit.errors import ConfigError
+from fieldkit.files import write_whole
+from mission.core.template import mission_text
+from mission.plan.draft import form_of, with_form
+from mission.plan.judge import judge
+
+PICTURES = (".mbtiles", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
+MOST_FILES = 200
+
+
+class Desk:
+    """One mission file being edited. Raises `ConfigError` where there is one that is no TOML."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.absolute()
+        self._stored = self._on_disk()
+        self.text = mission_text(name=self.path.stem, robots=()) if self._stored is None else self._stored
+        form_of(self.text)
+
+    def state(self) -> dict[str, Any]:
+        """All that the page shows of it."""
+        return {
+            "path": str(self.path),
+            "form": form_of(self.text),
+            "text": self.text,
+            "remarks": [asdict(each) for each in judge(self.text, self.path)],
+            "stored": self.text == self._stored,
+            "new": self._stored is None,
+        }
+
+    def choices(self) -> dict[str, list[str]]:
+        """What there is to choose from: drivers, and files beside the mission file."""
+        return {
+            "receivers": plugins.names("fieldkit.receivers"),
+            "vehicles": plugins.names("fieldkit.vehicles"),
+            "antennas": [each.name for each in self._beside() if _is_antenna(each)],
+            "pictures": [each.name for each in self._beside() if each.suffix.lower() in PICTURES],
+        }
+
+    def change(self, form: Mapping[str, Any]) -> None:
+        """Take in what the form says now. Raises `ConfigError`."""
+        self.text = with_form(self.text, form)
+
+    def store(self) -> None:
+        """Write the file, whole or not at all.
+
+        Raises `ConfigError` where somebody else has changed it meanwhile, `NotWritten` where it cannot be written.
+        """
+        if self._on_disk() != self._stored:
+            raise ConfigError(
+                f"{self.path}: was changed by somebody else since it was read; nothing was written. "
+                "Open it anew to see that, and repeat your changes"
+            )
+        write_whole(self.path, self.text)
+        self._stored = self.text
+
+    def _on_disk(self) -> str | None:
+        try:
+            return self.path.read_text(encoding="utf-8").removeprefix("\ufeff")
+        except FileNotFoundError:
+            return None
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{self.path}: cannot be read: {error}") from error
+
+    def _beside(self) -> list[Path]:
+        try:
+            return sorted(each for each in self.path.parent.iterdir() if each.is_file())[:MOST_FILES]
+        except OSError:
+            return []
+
+
+def _is_antenna(path: Path) -> bool:
+    if path.suffix != ".toml":
+        return False
+    try:
+        return "[parameters]" in path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
