@@ -14,7 +14,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 #: How an RSSI value was obtained. They are not equally good: `db` is the module's last packet from anybody.
-RssVia = Literal["rx64", "rx16", "io", "db", "ed", "sniffer", "tap", "lines", "sim"]
+RssVia = Literal["rx64", "rx16", "io", "db", "ed", "sniffer", "tap", "lines", "sim", "other"]
+"""How a level was obtained; `other`: by a driver of another package."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ class Regular:
         yield ReceiverState(self._clock.now_ns(), self.robot, True)
         while self._open:
             await self._clock.sleep(1.0)
-            yield RssReading(self._clock.now_ns(), self.robot, self._rss_dbm)
+            yield RssReading(self._clock.now_ns(), self.robot, self._rss_dbm, via="other")
 
 
 def open_receiver(robot: str, options: Mapping[str, Any], around: DriverContext) -> Receiver:
