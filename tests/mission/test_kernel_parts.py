@@ -51,6 +51,14 @@ def test_home_is_where_a_robot_was_first_seen(settings: KernelSettings) -> None:
     assert fleet.homes_m() == {"r1": (2.0, 3.0)} and fleet.positions_m() == {"r1": (4.0, 5.0)}
 
 
+def test_only_robots_that_have_been_seen_have_a_height(settings: KernelSettings) -> None:
+    fleet = Fleet(settings)
+    assert fleet.heights_m() == {}
+    fleet.take_in(Pose(0, "r1", 2.0, 3.0, 12.5))
+    fleet.take_in(Pose(0, "r3", 2.0, 3.0, 0.0))
+    assert fleet.heights_m() == {"r1": 12.5, "r3": 0.0}
+
+
 def test_a_robot_without_a_position_is_not_steered_and_one_without_a_vehicle_is(
     settings: KernelSettings,
 ) -> None:

@@ -173,6 +173,17 @@ def test_orders_of_the_operator_end_steering_until_resumed(settings: KernelSetti
     assert "r1" in {c.robot for c in field.tick(2)}
 
 
+def test_a_robot_that_is_resumed_makes_everybody_plan_anew(settings: KernelSettings) -> None:
+    field = Driven(settings, r1=FAR, r3=FAR)
+    field.tick(1)
+    field.kernel.step(Operator(S, "hold", "r1"))
+    field.tick(2)
+    before = len(field.asked)
+    field.kernel.step(Operator(2 * S, "resume", "r1"))
+    field.tick(3)
+    assert [situation.teams for situation in field.asked[before:]] == [settings.engine.teams]
+
+
 @pytest.mark.parametrize(
     ("action", "said"),
     [
