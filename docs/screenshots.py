@@ -1,7 +1,8 @@
-"""Make the manual's pictures of the page from an emulated walk: make screenshots
+"""Make the manual's pictures of the pages: make screenshots
 
-Needs chromium and the development packages. One transmitter is hidden, a person walks to it by advice with a LoRa
-module, over a drawn picture of the ground; the pictures go to docs/pictures.
+Needs chromium and the development packages. A walk: one transmitter is hidden, a person walks to it by advice with
+a LoRa module, over a drawn picture of the ground. A mission: simulated, shown as a recording. The editor: a draft with
+two robots, a fence and a closed area. The pictures go to docs/pictures.
 """
 
 import shutil
@@ -15,8 +16,11 @@ from PIL import Image, ImageDraw
 from playwright.sync_api import sync_playwright
 
 from fieldkit.geo import FieldFrame
+from fieldkit.recording.reader import open_recording
+from mission.lab.synthetic import record_simulated, small_mission
 from mission.lab.walk_demo import ORIGIN_DEG, SIZE_M, demo_walk
 from mission.page import serve
+from mission.plan.serve import plan
 from mission.shell.flight import fly
 from mission.shell.warm_up import warm_up
 
@@ -28,6 +32,11 @@ PHONE: dict[str, Any] = {
     "color_scheme": "light",
 }
 DESK: dict[str, Any] = {"viewport": {"width": 1440, "height": 900}, "color_scheme": "light"}
+DRAWN = {
+    "fence": ((0.2, 0.25), (0.75, 0.2), (0.8, 0.75), (0.25, 0.8)),
+    "keep_out": ((0.45, 0.45), (0.55, 0.42), (0.57, 0.55), (0.47, 0.57)),
+}
+"""Corners, in shares of the map."""
 SEED = 7
 RATE = 20.0
 HEARD_MID_WALK = "7"
@@ -88,8 +97,53 @@ def photograph(address: str, went_wrong: list[BaseException]) -> None:
         went_wrong.append(error)
 
 
+def photograph_editor(tab: Any, folder: Path) -> None:
+    """The mission editor with two robots, a fence and a closed area."""
+    small_mission(folder)
+    with plan(folder / "north-meadow.toml") as page:
+        tab.goto(page.command_address)
+        for _ in range(2):
+            tab.click("#add")
+        tab.wait_for_selector(".robot >> nth=1")
+        for k, box in enumerate(tab.locator(".robot datalist + *, .robot input[list]").all()[:2]):
+            box.fill(f"/dev/ttyUSB{k}")
+            box.press("Tab")
+            tab.wait_for_timeout(300)
+        box = tab.locator("#map").bounding_box()
+        for kind, corners in DRAWN.items():
+            tab.click(f"[data-draw={kind}]")
+            for x, y in corners:
+                tab.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+            tab.click(f"[data-draw={kind}]")
+            tab.wait_for_timeout(300)
+        tab.screenshot(path=OUT / "plan.png")
+
+
+def photograph_recording(tab: Any, folder: Path) -> None:
+    """The page of a mission, as a recording shows it."""
+    recorded = record_simulated(folder, duration_s=400.0, sources_found=9)
+    with serve.past(open_recording(recorded)) as page:
+        tab.goto(page.address)
+        tab.wait_for_function("() => window.fieldkit.grids.belief")
+        tab.wait_for_timeout(500)
+        tab.screenshot(path=OUT / "page.png")
+
+
+def photograph_desk() -> None:
+    """What is looked at on a desk."""
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    with sync_playwright() as driver, tempfile.TemporaryDirectory(prefix="fieldkit-") as made:
+        browser = driver.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        for name, take in (("editor", photograph_editor), ("recording", photograph_recording)):
+            (Path(made) / name).mkdir()
+            tab = browser.new_context(**DESK).new_page()
+            take(tab, Path(made) / name)
+        browser.close()
+
+
 def main() -> None:
     OUT.mkdir(exist_ok=True)
+    photograph_desk()
     with tempfile.TemporaryDirectory(prefix="fieldkit-") as made:
         folder = Path(made)
         with demo_walk(folder, "lora", SEED, RATE, background=draw_ground(folder)) as (mission, setup, truth):
@@ -103,10 +157,10 @@ def main() -> None:
                 looking.join()
     if went_wrong:
         raise went_wrong[0]
-    for path in OUT.glob("walk-*.png"):  # a third of the size, and nobody sees it
+    for path in OUT.glob("*.png"):  # a third of the size, and nobody sees it
         with Image.open(path) as shot:
             shot.convert("RGB").quantize(256).save(path, optimize=True)
-    print(f"written: {OUT}/{{walk-phone, walk-map, walk-found}}.png")
+    print(f"written: {OUT}/{{plan, page, walk-phone, walk-map, walk-found}}.png")
 
 
 if __name__ == "__main__":

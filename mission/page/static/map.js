@@ -335,7 +335,7 @@ function drawNorthAndScale() {
   }
   pen.textAlign = "right"; pen.textBaseline = "bottom";
   halo(length >= 1000 ? `${length / 1000} km` : `${length} m`, left - 6, y + 3, css.text);
-  const [x, top] = [view.width - 24, view.height - 74];
+  const [x, top] = [view.width - 24, view.height - 108];
   pen.beginPath(); pen.moveTo(x, top); pen.lineTo(x + 8, top + 24); pen.lineTo(x, top + 18); pen.lineTo(x - 8, top + 24); pen.closePath();
   pen.strokeStyle = css.map; pen.lineWidth = 4; pen.stroke();
   pen.fillStyle = css.text; pen.fill();

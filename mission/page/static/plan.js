@@ -51,7 +51,7 @@ function fill() {
 
 function remarks() {
   const red = now.remarks.filter((each) => each.level === "red").length;
-  const words = red ? `${red} thing${red > 1 ? "s" : ""} to mend before it can fly` : now.remarks.length ? "can fly; read the remarks" : "good: it can fly";
+  const words = red ? `${red} thing${red > 1 ? "s" : ""} to mend before it can start` : now.remarks.length ? "can start; read the remarks" : "good: it can start";
   $("verdict").textContent = words;
   $("verdict").className = red ? "red" : now.remarks.length ? "amber" : "green";
   const inputs = [...document.querySelectorAll("[data-key]")];
