@@ -139,8 +139,10 @@ def read_antenna(
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such antenna file; make one with 'fieldkit calibrate fit'") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # no text, no TOML, or a number of thousands of digits
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    except RecursionError:
+        raise ConfigError(f"{path}: not valid TOML: nested too deeply") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     parsed = parse_antenna(raw, str(path))
@@ -160,11 +162,11 @@ def read_antenna(
 def parse_antenna(raw: dict[str, Any], where: str) -> AntennaFile:
     """Check a parsed antenna file. `where` names it in errors."""
     schema = raw.get("schema")
-    if not isinstance(schema, int):
+    if not isinstance(schema, int) or isinstance(schema, bool):
         raise ConfigError(f"{where}: schema: expected the integer {SCHEMA}, got {schema!r}")
     if schema > SCHEMA:
         raise ConfigError(
-            f"{where}: schema: {schema} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
+            f"{where}: schema: {str(schema)[:20]} is newer than this fieldkit knows ({SCHEMA}); update fieldkit"
         )
     model, pattern = raw.get("model", "omnidirectional"), raw.get("pattern", {})
     if model not in MODELS:

@@ -149,7 +149,9 @@ class ReturnSequence:
             ]
         if robot.somebody_elses:
             self.forget(name)
-            return []
+            said = "" if robot.vehicle is None else robot.vehicle.reason
+            why = f"it is not ours to steer any more: {said}".rstrip(": ")
+            return [CallOperator(now_ns, name, f"{why}, on its way home: {trip.reason}")]
         if why := _must_stop(robot, settings, now_ns):
             return self._stop(robot, trip, settings, now_ns, why)
         while _has_passed(trip, here, settings):
@@ -243,8 +245,16 @@ class ReturnSequence:
                 return False
         return True
 
+    def _may_set_out_yet(self, robot: Watched, settings: SafetySettings, now_ns: int) -> bool:
+        """Whether one that cannot set out now is expected to: it rests, or nobody has been called for it yet."""
+        if self._start_of(robot, settings, now_ns) is not None or robot.pose is None or robot.somebody_elses:
+            return False
+        return not robot.called or now_ns < self.not_before_ns.get(robot.name, LONG_AGO_NS)
+
     def _give_up(self, robots: Mapping[str, Watched], settings: SafetySettings, now_ns: int) -> list[Command]:
         """Nobody is under way and nobody can set out: those that could be ordered to go stay, and somebody is asked."""
+        if any(self._may_set_out_yet(robots[name], settings, now_ns) for name in self.waiting):
+            return []
         commands: list[Command] = []
         for name, reason in list(self.waiting.items()):
             if self._start_of(robots[name], settings, now_ns) is None:

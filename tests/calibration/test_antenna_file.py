@@ -97,6 +97,7 @@ def test_the_dipole_is_the_papers():
     [
         ({"schema": 99}, "newer than this fieldkit"),
         ({"schema": "1"}, "schema: expected the integer"),
+        ({"schema": True}, "schema: expected the integer"),
         ({"model": "yagi"}, "model: expected one of"),
         ({"model": "lobe"}, "pattern: expected equally long lists"),
         ({"covariance": {"names": ["a"], "matrix": [[1.0, 2.0]]}}, "covariance: expected names"),

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from fieldkit.channel.antenna_file import read_antenna
 from fieldkit.errors import ConfigError
 from mission.core.mission_file import parse_mission, read_mission
 from mission.core.template import mission_text
@@ -85,6 +86,14 @@ def test_what_no_parser_takes_is_refused_in_few_words(value: str) -> None:
     with pytest.raises(ConfigError) as refusal:
         parse_mission(f"schema = {value}", "m.toml")
     assert str(refusal.value).startswith("m.toml: ") and len(str(refusal.value)) < 200
+
+
+@pytest.mark.parametrize("value", ["[" * 5_000 + "]" * 5_000, "9" * 5_000, "9" * 400, "true"])
+def test_an_antenna_file_is_refused_in_few_words_too(value: str, tmp_path: Path) -> None:
+    (tmp_path / "antenna.toml").write_text(f"schema = {value}")
+    with pytest.raises(ConfigError, match=r"antenna\.toml: ") as refusal:
+        read_antenna(tmp_path / "antenna.toml")
+    assert len(str(refusal.value)) < 200 + len(str(tmp_path))
 
 
 def test_the_template_itself_is_good() -> None:

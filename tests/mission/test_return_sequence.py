@@ -295,7 +295,9 @@ def test_it_has_a_minute_and_ten_seconds_a_metre(far: Place, length_m: float) ->
 def test_one_that_somebody_else_takes_is_theirs() -> None:
     team = leaving()
     team.says("a", "other")
-    assert team.step(1.0) == [] and "a" not in team.sequence
+    (call,) = team.step(1.0)
+    assert isinstance(call, CallOperator) and "not ours to steer any more" in call.reason
+    assert "a" not in team.sequence and team.step(1.0) == []
 
 
 def test_one_too_near_another_holds_and_goes_on_when_it_can() -> None:

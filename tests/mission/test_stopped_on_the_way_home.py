@@ -102,3 +102,44 @@ def test_one_that_lands_is_not_stopped() -> None:
     team.sequence.under_way["a"].lands = True
     team.says("a", "land", link_up=False)
     assert team.step(1.0) == []
+
+
+@pytest.mark.parametrize("pct", [None, 20.0])
+def test_the_operator_is_called_for_one_that_its_own_failsafe_stops(pct: float | None) -> None:
+    """Also where the operator was called before, because it went home."""
+    field, _ = homeward()
+    field.battery["a"] = pct
+    field.tick(2)
+    told = len(field.log)
+    field.mode["a"] = "other"
+    field.tick(10)
+    assert of_a(field.log[told:]) == [CallOperator]
+    assert "not ours to steer" in field.said(CallOperator, "a")[-1] and "a" not in field.safety.returning
+
+
+def test_one_behind_another_that_has_lost_its_position_is_not_given_up_at_once() -> None:
+    field = Field()
+    field.at["a"], field.at["b"] = (2.0, 10.0), (2.0, 12.0)
+    field.home["b"] = field.safety.robots["b"].home_m = (2.0, 4.0)  # type: ignore[assignment]
+    field.tick(5)
+    field.ask("return")
+    field.tick(2)
+    field.dumb.add("a")
+    field.tick(8)
+    assert not field.said(CallOperator, "b") and "b" in field.safety.returning.waiting
+    field.dumb.clear()
+    field.tick(60)
+    assert not field.said(CallOperator, "b") and field.at["b"][1] < 5.5
+
+
+def test_one_behind_another_that_stays_lost_is_given_up_when_the_operator_has_been_called() -> None:
+    field = Field()
+    field.at["a"], field.at["b"] = (2.0, 10.0), (2.0, 12.0)
+    field.home["b"] = field.safety.robots["b"].home_m = (2.0, 4.0)  # type: ignore[assignment]
+    field.tick(5)
+    field.dumb.add("a")
+    field.ask("return")
+    field.tick(25)
+    assert not field.said(CallOperator, "b")
+    field.tick(15)
+    assert len(field.said(CallOperator, "a")) == len(field.said(CallOperator, "b")) == 1
