@@ -75,7 +75,7 @@ def test_the_next_leg_begins_within_the_arrival_distance(settings: KernelSetting
         assert field.kernel.legs_timed_out["r1"] == 0
 
 
-@pytest.mark.parametrize(("speed_m_s", "leg_s"), [(0.4, 10.0), (0.2, 20.0)])
+@pytest.mark.parametrize(("speed_m_s", "leg_s"), [(0.4, 10.0), (0.2, 20.0), (8.0, 0.5)])
 def test_a_leg_has_three_fifths_more_than_its_time_and_five_seconds(
     settings: KernelSettings, speed_m_s: float, leg_s: float
 ) -> None:
@@ -171,6 +171,27 @@ def test_orders_of_the_operator_end_steering_until_resumed(settings: KernelSetti
     assert [c.robot for c in field.tick(1)] == ["r3"]
     field.kernel.step(Operator(0, "resume", "r1"))
     assert "r1" in {c.robot for c in field.tick(2)}
+
+
+@pytest.mark.parametrize(
+    ("orders", "steered_again"),
+    [
+        (["withdraw"], True),
+        (["hold"], True),
+        (["release"], False),
+        (["release", "withdraw"], False),
+        (["release", "hold"], True),
+    ],
+)
+def test_a_word_to_all_resumes_whom_nobody_else_was_given(
+    settings: KernelSettings, orders: list[str], steered_again: bool
+) -> None:
+    field = Driven(settings, r1=FAR)
+    for action in orders:
+        field.kernel.step(Operator(0, action, "r1"))  # type: ignore[arg-type]
+    assert field.tick(1) == []
+    field.kernel.step(Operator(S, "resume"))
+    assert [c.robot for c in field.tick(2)] == (["r1"] if steered_again else [])
 
 
 def test_a_robot_that_is_resumed_makes_everybody_plan_anew(settings: KernelSettings) -> None:
