@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from matplotlib.patheffects import withStroke
 
 from fieldkit.messages import SourceEstimate
 from fieldkit.settings import ELLIPSE_90
@@ -17,9 +18,14 @@ from mission.analysis.history import History
 from mission.analysis.refine import Fit, Refined
 from mission.analysis.use import Stretch, kind
 
-ROBOT_COLOURS = ("#0072b2", "#56b4e9", "#009e73", "#66c2a5", "#cc79a7", "#e7a6c9", "#8c6d31", "#bd9e39")
-"""Neighbours share a hue: robots of a pair."""
-FOUND, CANDIDATE, INCONSISTENT, TRUTH = "#d62728", "#ff7f0e", "#7f7f7f", "#000000"
+ROBOT_COLOURS = ("#56b4e9", "#e69f00", "#cc79a7", "#0fb68a", "#f0e442", "#d55e00", "#8c7ae6", "#4a90d9")
+"""Those of the live page (after Okabe and Ito): a robot is the same colour on both."""
+FOUND, CANDIDATE, INCONSISTENT, TRUTH = "#0a7a4b", "#a65a00", "#5f6b76", "#000000"
+"""As on the live page by day."""
+
+
+BEYOND = 0.03
+"""Share of the field that its map shows beyond each border."""
 
 
 def svg(figure: Figure) -> str:
@@ -50,7 +56,7 @@ def field_map(history: History) -> Figure:
         bar.set_ticks([-5, -4, -3, -2, -1, 0], labels=["≤ 0.00001", "0.0001", "0.001", "0.01", "0.1", "1"])
     for index, (robot, track) in enumerate(history.tracks.items()):
         colour = ROBOT_COLOURS[index % len(ROBOT_COLOURS)]
-        axes.plot(track[:, 1], track[:, 2], lw=0.6, color=colour, alpha=0.8, label=robot)
+        axes.plot(track[:, 1], track[:, 2], lw=0.7, color=colour, alpha=0.6, label=robot)
         axes.plot(track[-1, 1], track[-1, 2], "o", ms=5, color=colour)
     for source in history.final:
         _draw_source(axes, source)
@@ -64,7 +70,10 @@ def field_map(history: History) -> Figure:
             color=TRUTH,
             label="" if index else "true source",
         )
-    axes.set(xlim=(0, field.size_east_m), ylim=(0, field.size_north_m), xlabel="east, m", ylabel="north, m")
+    # A little beyond the border: what is found on it is whole.
+    beyond_m = BEYOND * max(field.size_east_m, field.size_north_m)
+    axes.set(xlim=(-beyond_m, field.size_east_m + beyond_m), ylim=(-beyond_m, field.size_north_m + beyond_m))
+    axes.set(xlabel="east, m", ylabel="north, m")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncol=5, frameon=False, fontsize=8)
     return figure
 
@@ -72,13 +81,17 @@ def field_map(history: History) -> Figure:
 def _draw_source(axes: Axes, source: SourceEstimate) -> None:
     colour = {"found": FOUND, "candidate": CANDIDATE}.get(source.state, INCONSISTENT)
     axes.add_patch(ellipse(source.east_m, source.north_m, source.cov_m2, colour, "-"))
-    axes.plot(source.east_m, source.north_m, "+", ms=8, mew=1.5, color=colour)
+    axes.plot(source.east_m, source.north_m, "+", ms=10, mew=4, color="white", zorder=4)
+    axes.plot(source.east_m, source.north_m, "+", ms=9, mew=2, color=colour, zorder=5)
     axes.annotate(
         f"{source.ident}",
         (source.east_m, source.north_m),
         xytext=(6, 6),
         textcoords="offset points",
         color=colour,
+        fontweight="bold",
+        zorder=6,
+        path_effects=[withStroke(linewidth=2.5, foreground="white")],
     )
 
 

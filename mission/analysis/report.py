@@ -10,10 +10,12 @@ from fieldkit import __version__
 from fieldkit.coordinates import coordinates
 from fieldkit.files import write_whole
 from fieldkit.messages import SourceEstimate
+from fieldkit.settings import ELLIPSE_90
 from mission.analysis import words
 from mission.analysis.coverage import Coverage, coverage
 from mission.analysis.faults import faults
 from mission.analysis.history import History, read_history
+from mission.analysis.next_steps import next_steps
 from mission.analysis.placed import placed
 from mission.analysis.refine import Fit, Refined, model_fit, refine
 from mission.analysis.use import stretches, use
@@ -78,6 +80,8 @@ def _page(name: str, history: History, covered: Coverage, refined: list[Refined]
         history=history,
         duration=words.minutes(history.duration_s),
         cards=_cards(history, covered),
+        places=[_place(history, source, by_ident.get(source.ident)) for source in _shown(history)],
+        steps=next_steps(history, covered, fit),
         found=words.found(history),
         within=words.found_within(history),
         silent=words.silent(history, covered),
@@ -149,6 +153,23 @@ def _cards(history: History, covered: Coverage) -> list[tuple[str, str]]:
     if history.left:
         cards.append((words.percent(history.left[-1][1]), "that one is left"))
     return [*cards, (words.minutes(history.duration_s), "of mission")]
+
+
+def _place(history: History, source: SourceEstimate, refined: Refined | None) -> dict[str, Any]:
+    """Where a source is as the one who goes there needs it: refined where that was possible, and how sure."""
+    best: SourceEstimate | Refined = (
+        refined if refined is not None and np.isfinite(refined.sigma_m) else source
+    )
+    lat_deg, lon_deg, _ = history.mission.frame.to_geodetic(best.east_m, best.north_m)
+    said = coordinates(lat_deg, lon_deg)
+    row = {"ident": source.ident, "state": source.state, "sure": "", "metres": "no position is claimed"}
+    row |= {"lat_lon": "", "mgrs": ""}
+    if source.state == "inconsistent":
+        return row
+    longest_m = ELLIPSE_90 * float(np.sqrt(np.linalg.eigvalsh(best.cov_m2)[-1]))
+    sure = f"within {longest_m:.1f} m, 90 % sure" if np.isfinite(longest_m) else "no region can be given"
+    metres = f"{best.east_m:.1f} m E, {best.north_m:.1f} m N"
+    return row | {"sure": sure, "metres": metres, "lat_lon": said.lat_lon, "mgrs": said.mgrs}
 
 
 def _row(history: History, source: SourceEstimate, refined: Refined | None) -> dict[str, Any]:

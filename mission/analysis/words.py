@@ -6,6 +6,8 @@ from mission.analysis.coverage import SEARCHED, Coverage
 from mission.analysis.history import History
 from mission.analysis.refine import Fit
 
+FEW_READINGS = 10
+"""Fewer say nothing of whether the antenna file fits."""
 ODD_BIAS_DB, ODD_RATIO = 2.0, 1.3
 """Readings that are off by more on average, or scatter so many times as wide, do not look like the antenna file."""
 
@@ -75,19 +77,25 @@ def silent(history: History, covered: Coverage) -> list[str]:
 def fit(readings: Fit) -> str:
     """Whether readings look like what the antenna file predicts."""
     n = readings.residual_db.size
-    if n < 10:
+    if n < FEW_READINGS:
         return f"Only {n} readings can be compared with the antenna file's prediction: too few to say whether it fits."
-    ratio = readings.spread_db / readings.promised_db
-    good = abs(readings.bias_db) <= ODD_BIAS_DB and ratio <= ODD_RATIO
     return (
         f"{n} readings scatter {readings.spread_db:.1f} dB around the antenna file's prediction, which promises "
         f"{readings.promised_db:.1f} dB, and are {readings.bias_db:+.1f} dB off on average: "
         + (
             "the antenna file fits."
-            if good
+            if not does_not_fit(readings)
             else "the antenna file does not fit; calibrate these radios again."
         )
     )
+
+
+def does_not_fit(readings: Fit) -> bool:
+    """Whether the readings are off by more, or scatter wider, than the antenna file allows."""
+    if readings.residual_db.size < FEW_READINGS:
+        return False
+    ratio = readings.spread_db / readings.promised_db
+    return abs(readings.bias_db) > ODD_BIAS_DB or ratio > ODD_RATIO
 
 
 def ending(history: History) -> list[str]:

@@ -1,6 +1,7 @@
 """`fieldkit compare` and `fieldkit analyze`: many recordings at once. Heavy imports stay inside the commands."""
 
 import json
+import tempfile
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,9 @@ def compare(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write a page (HTML) with the table and plots.")
     ] = None,
+    pdf: Annotated[
+        Path | None, typer.Option(help="Print that page as PDF; needs Chromium or WeasyPrint.")
+    ] = None,
     as_json: _JSON = False,
 ) -> None:
     """Compare missions: time to find all, distance from the truth where it is known, in one table and plots.
@@ -26,10 +30,15 @@ def compare(
     from fieldkit.errors import ConfigError
     from mission.analysis.compare import GROUPS
     from mission.analysis.compare import compare as compare_them
+    from mission.analysis.pdf import write_pdf
 
     if by not in GROUPS:
         raise ConfigError(f"--by: expected one of {', '.join(GROUPS)}, got '{by}'")
-    said = compare_them(logs, out, by)
+    with tempfile.TemporaryDirectory(prefix="fieldkit-") as made:
+        page = out or (Path(made) / "compare.html" if pdf else None)
+        said = compare_them(logs, page, by)
+        if pdf is not None and page is not None:
+            write_pdf(page, pdf)
     if as_json:
         typer.echo(json.dumps(said | {"page": None if out is None else str(out)}, indent=2))
         return
@@ -48,6 +57,8 @@ def compare(
     _table(list(columns), [tuple(row[name] for name in columns) for row in said["missions"]])
     if out is not None:
         typer.echo(f"written: {out}")
+    if pdf is not None:
+        typer.echo(f"written: {pdf}")
 
 
 def analyze(

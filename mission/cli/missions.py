@@ -244,9 +244,14 @@ def report(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Where to write; default: beside the log.")
     ] = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Print it as PDF beside the page too; needs Chromium or WeasyPrint.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write one offline HTML page on a recorded mission: map, what was found and how sure, what was heard when.
+
+    The first page is for the person who decides: what was found, how sure, what to do next. Details come after.
 
     Example: fieldkit report runs/20260102T030405Z/mission.mcap -o report.html
     """
@@ -254,10 +259,17 @@ def report(
 
     target = out or (log / "report.html" if log.is_dir() else log.with_name("report.html"))
     summary = write_report(log, target)
+    written = [target]
+    if pdf:
+        from mission.analysis.pdf import write_pdf
+
+        written.append(target.with_suffix(".pdf"))
+        write_pdf(target, written[-1])
     if as_json:
-        print_json(summary | {"report": str(target)})
+        print_json(summary | {"report": str(target)} | ({"pdf": str(written[-1])} if pdf else {}))
     else:
-        typer.echo(f"written: {target}")
+        for each in written:
+            typer.echo(f"written: {each}")
 
 
 def new(

@@ -1,18 +1,25 @@
 """The report: right words for what was found, silent, wrong; also where nothing was heard."""
 
+import shutil
+import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from fieldkit.cli import build
-from fieldkit.errors import RecordingError
+from fieldkit.errors import ConfigError, RecordingError
 from fieldkit.messages import Hold, Operator, Pose, ReceiverState, RssReading, Tick, VehicleState
 from fieldkit.recording import RecordingWriter, open_recording
 from mission.analysis.faults import faults
 from mission.analysis.history import read_history
-from mission.analysis.report import write_report
+from mission.analysis.next_steps import next_steps
+from mission.analysis.pdf import BROWSERS, write_pdf
+from mission.analysis.refine import Fit
+from mission.analysis.report import searched, write_report
 from mission.analysis.use import stretches, use
 from mission.lab.synthetic import record_simulated, small_mission
 
@@ -139,3 +146,50 @@ def test_what_people_said_stands_apart_from_what_was_found(log: Path, tmp_path: 
     assert said["found"] == 0, "a word finds nothing"
     write_report(log, page)
     assert "What people said" not in Page(page.read_text()).words
+
+
+def test_the_first_page_says_where_and_what_next(log: Path, tmp_path: Path) -> None:
+    write_report(log, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text()
+    front = Page(text[text.index('<section class="front">') : text.index("</section>")])
+    history = read_history(log)
+    assert history.found and "What to do next" in front.words
+    assert front.words.count("90 % sure") >= len(history.found)
+    assert "one is still hidden has a probability of" in front.words or history.left[-1][1] <= 0.05
+
+
+def test_what_to_do_follows_from_what_is_wrong(log: Path) -> None:
+    history = read_history(log)
+    covered = searched(history)
+    scatter_db = np.tile([-4.0, 4.0], 20)
+    good = Fit(scatter_db, np.full(40, 4.0), np.array(["r1"] * 40))
+    off = replace(good, residual_db=scatter_db + 8.0)
+    assert not any("Calibrate" in step for step in next_steps(history, covered, good))
+    assert any("Calibrate" in step for step in next_steps(history, covered, off))
+    odd = replace(history.final[0], state="inconsistent", note="it moved")
+    wrong = replace(history, estimates=[(0.0, [odd])], left=[(0.0, 0.01)], holds=[])
+    (step,) = next_steps(wrong, covered, good)
+    assert "Do not trust" in step and "it moved" in step
+    assert next_steps(replace(wrong, estimates=[]), covered, good)[0].startswith("Nothing")
+    assert "another channel" in next_steps(replace(wrong, estimates=[], detections=[]), covered, good)[0]
+
+
+def test_a_report_is_printed_as_pdf(log: Path, tmp_path: Path) -> None:
+    if not any(map(shutil.which, BROWSERS)):
+        pytest.skip("no chromium on this machine: apt-get install chromium")
+    said = CliRunner().invoke(build(), ["report", str(log), "-o", str(tmp_path / "r.html"), "--pdf"])
+    assert said.exit_code == 0, said.output
+    printed = (tmp_path / "r.pdf").read_bytes()
+    assert printed.startswith(b"%PDF") and printed.count(b"/Type /Page\n") >= 2
+
+
+def test_without_a_browser_pdf_says_what_to_install(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mission.analysis.pdf.shutil.which", lambda _: None)
+    monkeypatch.setitem(sys.modules, "weasyprint", None)
+    page = tmp_path / "page.html"
+    page.write_text("<p>words</p>")
+    with pytest.raises(ConfigError, match="needs Chromium or Chrome, or WeasyPrint"):
+        write_pdf(page, tmp_path / "page.pdf")
+    assert not (tmp_path / "page.pdf").exists()
