@@ -98,18 +98,20 @@ def fit(
     from calibration.logs import Reading, read_log
     from calibration.verdict import judge
     from fieldkit.channel.antenna_file import dump_antenna
+    from fieldkit.console import progress
     from fieldkit.files import write_whole
 
     how = Reading(_pairs(column), _pairs(where), place_cell_m, negate, source, relative=relative)
     data, notes = read_log(readings, how)
     data = replace(data, warnings=(*data.warnings, *notes))
     options = Options(missed, saturation_dbm, min_distance_m, receiver_offsets)
-    if pattern == "none":
-        result, shape = fit_readings(data, options), None
-    else:
-        from calibration.patterns import fit_pattern
+    with progress("fitting"):
+        if pattern == "none":
+            result, shape = fit_readings(data, options), None
+        else:
+            from calibration.patterns import fit_pattern
 
-        result, shape = fit_pattern(data, options, pattern)
+            result, shape = fit_pattern(data, options, pattern)
     judgement = judge(result)
     refused = judgement.state == "refused"
     if not refused or keep_refused:

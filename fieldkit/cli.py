@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fieldkit import __version__, plugins
+from fieldkit import __version__, console, plugins
 from fieldkit.errors import ConfigError, FieldkitError
 
 HELP = """Find unknown, short-lived radio transmitters with a team of small robots.
@@ -30,11 +30,15 @@ def _root(
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Log what drivers and the runner do.")
     ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Say nothing but results and trouble.")
+    ] = False,
 ) -> None:
+    console.be_quiet(quiet)
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(name)s: %(message)s",
-        stream=sys.stderr,
+        handlers=[console.StderrHandler()],
     )
 
 
@@ -43,7 +47,7 @@ def build() -> typer.Typer:
     app = typer.Typer(
         help=HELP,
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )

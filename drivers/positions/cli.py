@@ -74,14 +74,12 @@ def survey(
     """
     import json
 
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
     from drivers.positions.readings import read_readings
     from drivers.positions.survey import Settings, as_geojson, evaluate
     from drivers.positions.survey import as_json as plain
     from drivers.positions.tracks import ONLY, read_track
     from fieldkit.channel.antenna_file import read_antenna, spread_of
+    from fieldkit.console import progress
     from fieldkit.files import write_whole
 
     file = read_antenna(antenna, allow_refused=allow_refused)
@@ -110,10 +108,8 @@ def survey(
     heard = read_readings(readings, robot, relative=relative, notes=notes, topics=topics)
     if assumption := spread_of(file).assumed:
         notes.append(f"{antenna.name}: {assumption}")
-    columns = (TextColumn("locating"), BarColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("locating", total=1.0)
-        result = evaluate(heard, track, settings, lambda share: bar.update(task, completed=share))
+    with progress("locating") as report:
+        result = evaluate(heard, track, settings, lambda share: report(share, ""))
     result.notes[:0] = notes
     if geojson is not None:
         write_whole(geojson, json.dumps(as_geojson(result, track)))

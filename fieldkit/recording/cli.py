@@ -120,11 +120,13 @@ def export(
 
     Example: fieldkit log export mission.mcap --what readings -o readings.csv
     """
+    from fieldkit.console import progress
     from fieldkit.recording.export import export as write_files
     from fieldkit.recording.log import open_log
 
     names = tuple(name.strip() for name in what.split(",") if name.strip())
-    written = write_files(open_log(log), out, names, form=form, from_s=from_s, to_s=to_s)
+    with progress("exporting"):
+        written = write_files(open_log(log), out, names, form=form, from_s=from_s, to_s=to_s)
     if as_json:
         typer.echo(json.dumps({"recording": str(log), "written": [str(path) for path in written]}))
         return

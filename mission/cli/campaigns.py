@@ -27,6 +27,7 @@ def compare(
 
     Example: fieldkit compare runs/*/mission.mcap -o compare.html
     """
+    from fieldkit.console import progress
     from fieldkit.errors import ConfigError
     from mission.analysis.compare import GROUPS
     from mission.analysis.compare import compare as compare_them
@@ -34,7 +35,7 @@ def compare(
 
     if by not in GROUPS:
         raise ConfigError(f"--by: expected one of {', '.join(GROUPS)}, got '{by}'")
-    with tempfile.TemporaryDirectory(prefix="fieldkit-") as made:
+    with tempfile.TemporaryDirectory(prefix="fieldkit-") as made, progress("comparing"):
         page = out or (Path(made) / "compare.html" if pdf else None)
         said = compare_them(logs, page, by)
         if pdf is not None and page is not None:
@@ -88,9 +89,7 @@ def analyze(
 
     Example: fieldkit analyze runs --sql "select robot, count(*), avg(rss_dbm) from readings group by robot"
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
+    from fieldkit.console import progress
     from fieldkit.extras import need
     from mission.analysis import campaign
 
@@ -98,11 +97,10 @@ def analyze(
         need(module, "post")
     to = results or folder / "analysis"
     jobs = campaign.jobs_of(folder, to, replay=replay or bool(changes), keys=tuple(changes or ()))
-    with Progress(TextColumn("{task.description}"), BarColumn(), console=Console(stderr=True)) as bar:
-        task = bar.add_task("taking in", total=float(len(jobs)))
+    with progress("taking in") as report:
         new, refused = campaign.run(
             jobs,
-            lambda done, of, text: bar.update(task, completed=done, description=f"{done} of {of}"),
+            lambda done, of, text: report(done / max(of, 1), f"taking in: {done} of {of}"),
             workers=workers,
             dask=dask,
         )

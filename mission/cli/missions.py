@@ -111,17 +111,19 @@ def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
         typer.echo(f"ended: {runner.end_reason}")
         sources_table(finds, runner.kernel.detections)
     if runner.recorder.failure:
-        say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above")
+        say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above", always=True)
     try:
         write_report(folder / "mission.mcap", folder / "report.html")
     except (OSError, FieldkitError) as error:
-        say(f"no report was written: {error}; 'fieldkit report {folder}/mission.mcap -o FILE' tries again")
+        again = f"'fieldkit report {folder}/mission.mcap -o FILE' tries again"
+        say(f"no report was written: {error}; {again}", always=True)
     else:
         say(f"written: {folder}/{{mission.mcap, mission.toml, report.html}}")
         say(f"to look again: fieldkit dashboard {folder}/mission.mcap")
     if runner.unconfirmed:
         names = ", ".join(runner.unconfirmed)
-        say(f"NOT CONFIRMED to hold: {names}. Stop by hand: remote control, or the vehicle's switch")
+        by_hand = "Stop by hand: remote control, or the vehicle's switch"
+        say(f"NOT CONFIRMED to hold: {names}. {by_hand}", always=True)
         raise typer.Exit(UNCONFIRMED_EXIT)
 
 
@@ -255,16 +257,18 @@ def report(
 
     Example: fieldkit report runs/20260102T030405Z/mission.mcap -o report.html
     """
+    from fieldkit.console import progress
     from mission.analysis.report import write_report
 
     target = out or (log / "report.html" if log.is_dir() else log.with_name("report.html"))
-    summary = write_report(log, target)
     written = [target]
-    if pdf:
-        from mission.analysis.pdf import write_pdf
+    with progress("writing the report"):
+        summary = write_report(log, target)
+        if pdf:
+            from mission.analysis.pdf import write_pdf
 
-        written.append(target.with_suffix(".pdf"))
-        write_pdf(target, written[-1])
+            written.append(target.with_suffix(".pdf"))
+            write_pdf(target, written[-1])
     if as_json:
         print_json(summary | {"report": str(target)} | ({"pdf": str(written[-1])} if pdf else {}))
     else:
@@ -341,7 +345,7 @@ def dashboard(
 
     say(f"reading {log} ...")
     with serve.past(open_recording(log), host=page_host, port=page_port) as page:
-        say(f"open {page.address}   (Ctrl-C ends it)")
+        say(f"open {page.address}   (Ctrl-C ends it)", always=True)
         while True:
             wall_sleep(0.5)
 
@@ -357,5 +361,5 @@ def _replay_page(log: Path, changes: "Changes", wanted: bool) -> "Iterator[tuple
     from mission.replay.command import changed_mission
 
     with serve.live(changed_mission(open_recording(log), changes)) as shown:
-        say(f"to look, open  {shown.page.address}")
+        say(f"to look, open  {shown.page.address}", always=True)
         yield (shown.follower,)

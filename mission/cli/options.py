@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fieldkit.console import is_quiet
+
 if TYPE_CHECKING:
     from mission.core.mission_file import Mission
     from mission.page.serve import LivePage
@@ -25,9 +27,13 @@ JsonOption = Annotated[
 ]
 
 
-def say(text: str) -> None:
-    """A line for the person at the terminal; results alone go to standard output."""
-    typer.echo(text, err=True)
+def say(text: str, *, always: bool = False) -> None:
+    """A line for the person at the terminal; results alone go to standard output.
+
+    `always`: also with --quiet, as trouble and addresses are.
+    """
+    if always or not is_quiet():
+        typer.echo(text, err=True)
 
 
 def print_json(value: Any) -> None:
@@ -52,8 +58,8 @@ def shown_page(mission: "Mission", wanted: bool, host: str, port: int) -> "Itera
     from mission.shell.keyboard import HELP
 
     with serve.live(mission, host=host, port=port) as shown:
-        say(f"to look and command, open  {shown.page.command_address}")
-        say(f"only to look:              {shown.page.address}")
+        say(f"to look and command, open  {shown.page.command_address}", always=True)
+        say(f"only to look:              {shown.page.address}", always=True)
         if shown.page.is_reached_by_others and sys.stderr.isatty():
             print_code(shown.page.command_address)
         if sys.stdin is not None and sys.stdin.isatty():

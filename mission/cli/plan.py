@@ -28,7 +28,7 @@ def plan(
     from mission.plan.serve import plan as serve
 
     with serve(mission_file, host=page_host, port=page_port) as page:
-        say(f"to edit {mission_file}, open  {page.command_address}   (Ctrl-C ends it)")
+        say(f"to edit {mission_file}, open  {page.command_address}   (Ctrl-C ends it)", always=True)
         if page.is_reached_by_others and sys.stderr.isatty():
             print_code(page.command_address)
         if show and sys.stdin is not None and sys.stdin.isatty():

@@ -155,10 +155,8 @@ def study(
 
     Example: fieldkit study prwa-fig5a --trials 20 --out studies/fig5a
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
     from fieldkit import plugins
+    from fieldkit.console import progress
     from mission.lab.study.options import supported
     from mission.lab.study.results import BULKY, save
     from mission.shell.terminal import study_table
@@ -173,12 +171,8 @@ def study(
         only=only,
         kept=None if out is None else out / "trials.jsonl",
     )
-    columns = (TextColumn("{task.description}"), BarColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("starting", total=1.0)
-        result = run_study(
-            trials, seed, lambda share, text: bar.update(task, completed=share, description=text), **how
-        )
+    with progress("starting") as report:
+        result = run_study(trials, seed, report, **how)
     if out is not None:
         save(result, out)
     if as_json:

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from fieldkit.checks import Check, worst
 from fieldkit.clock import wall_s
+from fieldkit.console import is_quiet
 from fieldkit.messages import SourceEstimate
 from mission.shell.runner import Progress
 from mission.shell.unhurried import unhurried_standard_error
@@ -31,7 +32,10 @@ class Watch:
     """
 
     def __init__(self, *, quiet: bool = False) -> None:
+        quiet = quiet or is_quiet()
         self._console = Console(stderr=True, quiet=quiet)
+        self._trouble = Console(stderr=True)
+        """What is said even where the rest is silent."""
         self._live = Live(console=self._console, refresh_per_second=4, transient=True)
         self._notes: list[str] = []
         self._last_s = -PLAIN_EVERY_S
@@ -40,7 +44,7 @@ class Watch:
 
     def __enter__(self) -> Self:
         self._around.enter_context(unhurried_standard_error())
-        if self._console.is_terminal:
+        if self._console.is_terminal and not self._console.quiet:
             self._live.start()
         return self
 
@@ -57,10 +61,12 @@ class Watch:
         for alarm in progress.alarms:
             name = alarm.split(" for ")[0]  # a number that grows is no new alarm
             if name not in self._alarmed and not self._live.is_started:
-                self._console.print(
+                self._trouble.print(
                     f"{progress.elapsed_s:6.0f} s  ALARM: {alarm}", style="bold red", markup=False
                 )
             self._alarmed.add(name)
+        if self._console.quiet:
+            return
         for note in progress.notes:
             line = f"{progress.elapsed_s:6.0f} s  {note}"
             if self._live.is_started:
