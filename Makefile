@@ -9,7 +9,7 @@ BENCH  ?= all
 FLOOR      ?= 86
 CORE_FLOOR ?= 96
 
-.PHONY: demo test bench lint docs screenshots wheel env clean
+.PHONY: demo test bench lint licences docs screenshots wheel env clean
 
 env: $(VENV)/.installed
 
@@ -31,6 +31,10 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# NOTICE against the dependencies that are declared, and against what these say of their licences.
+licences: $(VENV)/.installed-dev
+	$(BIN)/pytest -q -n 0 tests/system/test_notice.py
 
 test: lint
 	$(BIN)/pytest -n 2 --dist loadfile --cov --cov-report=

@@ -9,6 +9,7 @@ import typer
 from calibration.cli_collect import collect
 from calibration.cli_update import update
 from calibration.options import pairs as _pairs
+from fieldkit import settings as given
 
 HELP = "Turn logged readings into an antenna file that a mission can trust, or say why they cannot carry one."
 app = typer.Typer(help=HELP, no_args_is_help=True, rich_markup_mode=None)
@@ -56,7 +57,7 @@ def fit(
         typer.Option(
             help="Whether packets not received are in the file: counted, none were lost, or uncounted."
         ),
-    ] = "auto",
+    ] = given.MISSED,
     saturation_dbm: Annotated[
         float | None, typer.Option(help="The receiver reports no more than this.")
     ] = None,
@@ -67,7 +68,7 @@ def fit(
     pattern: Annotated[
         Literal["none", "auto", "circle", "ellipse", "lobe", "dipole", "fourier", "spline"],
         typer.Option(help="Gain by heading (column heading_deg): auto chooses by BIC."),
-    ] = "none",
+    ] = given.PATTERN,
     place_cell_m: _PLACE = None,
     negate: _NEGATE = False,
     relative: Annotated[

@@ -13,6 +13,7 @@ from calibration.likelihood import Rows
 from calibration.observations import Missed, first_guess, fitted_mean, make_rows
 from calibration.spread import clustered, split_sigma, standard_errors
 from calibration.threshold import Threshold, estimate_threshold
+from fieldkit import settings as given
 from fieldkit.channel.model import Antenna
 from fieldkit.errors import CalibrationRefused
 from fieldkit.messages import FloatArray
@@ -31,7 +32,7 @@ PARAMETERS = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
 class Options:
     """How to fit. None: find out from the readings."""
 
-    missed: Missed = "auto"
+    missed: Missed = given.MISSED
     """counted: every packet sent is a row; none: all were received; uncounted: weak ones may be absent."""
     saturation_dbm: float | None = None
     min_distance_m: float = 0.0

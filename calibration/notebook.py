@@ -10,6 +10,7 @@ from calibration.fit import FitResult, Options, fit
 from calibration.logs import Reading, read_log
 from calibration.patterns import Pattern, fit_pattern
 from calibration.verdict import Judgement, judge
+from fieldkit import settings as given
 from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
 from fieldkit.errors import CalibrationRefused
 from fieldkit.files import write_whole
@@ -50,11 +51,13 @@ def calibrate(
     *,
     columns: Mapping[str, str] | None = None,
     where: Mapping[str, str] | None = None,
-    missed: Literal["auto", "counted", "none", "uncounted"] = "auto",
+    missed: Literal["auto", "counted", "none", "uncounted"] = given.MISSED,
     saturation_dbm: float | None = None,
     min_distance_m: float = 0.0,
     receiver_offsets: bool = False,
-    pattern: Literal["none", "auto", "circle", "ellipse", "lobe", "dipole", "fourier", "spline"] = "none",
+    pattern: Literal[
+        "none", "auto", "circle", "ellipse", "lobe", "dipole", "fourier", "spline"
+    ] = given.PATTERN,
     place_cell_m: float | None = None,
     source_m: tuple[float, float] | None = None,
 ) -> Calibration:

@@ -26,12 +26,13 @@ from fieldkit.geo import FieldFrame
 from fieldkit.messages import RssReading
 from fieldkit.ports import DriverContext
 
+OFFERED_HZ, FOR_S, SENDERS = 2000.0, 10.0, 1000
 SENDER = 0x0013A20041000000
 SETTLE_S = 2.0
 """Wall time a reader is given for what is still in the pipe."""
 
 
-def xbee(rate_hz: float = 2000.0, duration_s: float = 10.0, senders: int = 1000) -> dict[str, Any]:
+def xbee(rate_hz: float = OFFERED_HZ, duration_s: float = FOR_S, senders: int = SENDERS) -> dict[str, Any]:
     """The driver and the stock library on the same stream, one after the other."""
     ours = xbee_throughput(rate_hz, duration_s, senders)
     stock = stock_throughput(rate_hz, duration_s, senders)
@@ -45,7 +46,9 @@ def xbee(rate_hz: float = 2000.0, duration_s: float = 10.0, senders: int = 1000)
     }
 
 
-def xbee_throughput(rate_hz: float = 2000.0, duration_s: float = 10.0, senders: int = 1000) -> dict[str, Any]:
+def xbee_throughput(
+    rate_hz: float = OFFERED_HZ, duration_s: float = FOR_S, senders: int = SENDERS
+) -> dict[str, Any]:
     """Readings taken at a steady rate from `senders` distinct senders.
 
     Gives sent, received, lost, in_order, readings_per_s, and stamp_delay_ms: reception stamp minus the moment
@@ -171,9 +174,9 @@ async def _send(connection: Connection, rate_hz: float, duration_s: float, sende
 
 
 def main(
-    rate_hz: Annotated[float, typer.Option(min=1.0, help="Frames per second offered.")] = 2000.0,
-    seconds: Annotated[float, typer.Option(min=0.1, help="For how long.")] = 10.0,
-    senders: Annotated[int, typer.Option(min=1, help="Distinct 64-bit senders.")] = 1000,
+    rate_hz: Annotated[float, typer.Option(min=1.0, help="Frames per second offered.")] = OFFERED_HZ,
+    seconds: Annotated[float, typer.Option(min=0.1, help="For how long.")] = FOR_S,
+    senders: Annotated[int, typer.Option(min=1, help="Distinct 64-bit senders.")] = SENDERS,
     stock: Annotated[bool, typer.Option(help="Measure stock digi-xbee too.")] = True,
 ) -> None:
     """Measure the XBee driver. Example: python -m drivers.benchmark --rate-hz 4000 --seconds 60"""

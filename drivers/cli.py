@@ -4,6 +4,12 @@ from typing import Annotated
 
 import typer
 
+from drivers.emulators.defaults import FIRMWARE, PICTURES_HZ, PROFILE, SOURCES
+from fieldkit import settings as given
+
+SIGMA_DB = 4.0
+"""Of emulated radios, where no antenna file says it."""
+
 emulate = typer.Typer(
     help="Emulate a radio, a rover or a whole field on real wires. Example: fieldkit emulate xbee",
     no_args_is_help=True,
@@ -29,10 +35,10 @@ Seed = Annotated[int, typer.Option(help="Same seed, same sources and noise.")]
 
 @emulate.command()
 def xbee(
-    profile: Annotated[str, typer.Option(help="s1, s1pro, s2c, xb3, 900hp or zigbee.")] = "s2c",
+    profile: Annotated[str, typer.Option(help="s1, s1pro, s2c, xb3, 900hp or zigbee.")] = PROFILE,
     rate_hz: Annotated[float, typer.Option(help="Packets per second it hears.")] = 1.0,
     rss_dbm: Annotated[float, typer.Option(help="How strongly it hears them, mean.")] = -70.0,
-    sigma_db: Annotated[float, typer.Option(help="Standard deviation of the strength.")] = 4.0,
+    sigma_db: Annotated[float, typer.Option(help="Standard deviation of the strength.")] = SIGMA_DB,
     api_mode: Annotated[int, typer.Option(help="AP: 0 transparent, 1 API, 2 API escaped.")] = 2,
     output: Annotated[int, typer.Option(help="AO: 2 gives frames with RSSI.")] = 2,
     tcp: Annotated[int, typer.Option(help="Serve on this TCP port instead of a pseudo-terminal.")] = 0,
@@ -56,12 +62,12 @@ def xbee(
 
 @emulate.command()
 def rover(
-    address: Annotated[str, typer.Option(help="Where its telemetry goes, host:port.")] = "127.0.0.1:14550",
+    address: Annotated[str, typer.Option(help="Where its telemetry goes, host:port.")] = given.TELEMETRY,
     system_id: Annotated[int, typer.Option(min=1, max=250, help="Its MAVLink system id.")] = 1,
     latitude_deg: Annotated[float, typer.Option(help="Where it stands.")] = 47.3977,
     longitude_deg: Annotated[float, typer.Option(help="Where it stands.")] = 8.5456,
     max_speed_m_s: Annotated[float, typer.Option(help="Its top speed.")] = 1.0,
-    firmware: Annotated[str, typer.Option(help="rover, copter or px4.")] = "rover",
+    firmware: Annotated[str, typer.Option(help="rover, copter or px4.")] = FIRMWARE,
     rate: Rate = 1.0,
     seed: Seed = 1,
 ) -> None:
@@ -81,9 +87,9 @@ def rover(
 @emulate.command()
 def field(
     robots: Annotated[int, typer.Option(min=1, max=100, help="Robots, each with an XBee and a rover.")] = 4,
-    sources: Annotated[int, typer.Option(min=0, max=50, help="Hidden transmitters.")] = 3,
+    sources: Annotated[int, typer.Option(min=0, max=50, help="Hidden transmitters.")] = SOURCES,
     size_m: Annotated[float, typer.Option(min=1.0, help="Side of the square field.")] = 10.0,
-    address: Annotated[str, typer.Option(help="Where telemetry goes, host:port.")] = "127.0.0.1:14550",
+    address: Annotated[str, typer.Option(help="Where telemetry goes, host:port.")] = given.TELEMETRY,
     rate: Rate = 1.0,
     seed: Seed = 1,
 ) -> None:
@@ -112,9 +118,11 @@ def radios(
     source: Annotated[
         list[str] | None, typer.Option(help="A transmitter: EAST,NORTH in metres, or EAST,NORTH,POWER_DB.")
     ] = None,
-    sources: Annotated[int, typer.Option(min=1, max=50, help="Hidden at random where none is named.")] = 3,
+    sources: Annotated[
+        int, typer.Option(min=1, max=50, help="Hidden at random where none is named.")
+    ] = SOURCES,
     rate_hz: Annotated[float, typer.Option(help="How often a named one transmits.")] = 0.2,
-    profile: Annotated[str, typer.Option(help="s1, s1pro, s2c or xb3.")] = "s2c",
+    profile: Annotated[str, typer.Option(help="s1, s1pro, s2c or xb3.")] = PROFILE,
     seed: Seed = 1,
 ) -> None:
     """Give the robots of a mission file radios that hear from where their vehicles are, to rehearse with.
@@ -135,10 +143,10 @@ def radios(
 @emulate.command()
 def sniffer(
     kind: Annotated[str, typer.Option(help="nrf, ti, or pcap: a live pipe.")] = "nrf",
-    channel: Annotated[int, typer.Option(min=11, max=26, help="Channel the packets are on.")] = 15,
+    channel: Annotated[int, typer.Option(min=11, max=26, help="Channel the packets are on.")] = given.CHANNEL,
     rate_hz: Annotated[float, typer.Option(min=0.001, help="Packets per second it hears.")] = 1.0,
     rss_dbm: Annotated[float, typer.Option(help="How strongly it hears them, mean.")] = -70.0,
-    sigma_db: Annotated[float, typer.Option(help="Standard deviation of the strength.")] = 4.0,
+    sigma_db: Annotated[float, typer.Option(help="Standard deviation of the strength.")] = SIGMA_DB,
     seed: Seed = 1,
 ) -> None:
     """Emulate a promiscuous 802.15.4 receiver. Example: fieldkit emulate sniffer --kind ti"""
@@ -160,7 +168,7 @@ def printer(
     ] = "rylr",
     rate_hz: Annotated[float, typer.Option(min=0.001, help="Packets per second it hears.")] = 1.0,
     rss_dbm: Annotated[float, typer.Option(help="How strongly it hears them, mean.")] = -70.0,
-    sigma_db: Annotated[float, typer.Option(help="Standard deviation of the strength.")] = 4.0,
+    sigma_db: Annotated[float, typer.Option(help="Standard deviation of the strength.")] = SIGMA_DB,
     seed: Seed = 1,
 ) -> None:
     """Emulate a radio that prints what it hears. Example: fieldkit emulate printer --style esp32-ble"""
@@ -179,7 +187,7 @@ def printer(
 @emulate.command()
 def camera(
     out: Annotated[str, typer.Option(help="Folder that gets the calibration file.")] = ".",
-    rate_hz: Annotated[float, typer.Option(min=0.1, max=60.0, help="Pictures per second.")] = 16.0,
+    rate_hz: Annotated[float, typer.Option(min=0.1, max=60.0, help="Pictures per second.")] = PICTURES_HZ,
     port: Annotated[int, typer.Option(help="TCP port; 0: any.")] = 0,
 ) -> None:
     """Emulate an overhead network camera with four robots. Example: fieldkit emulate camera --port 8554"""
@@ -195,7 +203,7 @@ def channels(
     scans: Annotated[int, typer.Option(min=1, help="How many scans.")] = 5,
     scan_s: Annotated[float, typer.Option(min=0.01, max=15.0, help="Length of one scan.")] = 2.0,
     busy_dbm: Annotated[float, typer.Option(help="From here up a channel counts as busy.")] = -80.0,
-    baud: Annotated[int, typer.Option(help="Baud rate of the port.")] = 115200,
+    baud: Annotated[int, typer.Option(help="Baud rate of the port.")] = given.BAUD,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Scan the channels' energy with an XBee, to choose where to listen. It transmits nothing.
@@ -222,7 +230,7 @@ def channels(
 
 def devices(
     port: Annotated[list[str] | None, typer.Argument(help="Ports to open and ask what they are.")] = None,
-    baud: Annotated[int, typer.Option(help="Baud rate of the ports asked.")] = 115200,
+    baud: Annotated[int, typer.Option(help="Baud rate of the ports asked.")] = given.BAUD,
     watched: Annotated[
         str | None,
         typer.Option("--watch", metavar="PORT", help="Show the lines that come in, and propose a map."),

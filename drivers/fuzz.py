@@ -39,6 +39,7 @@ from fieldkit.geo import FieldFrame
 _FRAME = FieldFrame(47.3977, 8.5456)
 _LAST_SEEN = Seen(1_790_000_000 * 10**9, 12.0, 34.0)
 KEEPS = 1 << 21
+STREAMS = 20_000
 """Bytes a codec may keep of a stream that makes no sense: a pcapng block may claim a megabyte."""
 INTERESTING = (
     b"\x7e",
@@ -299,13 +300,13 @@ def fuzz_codec(name: str, streams: int, seed: int) -> dict[str, Any]:
     return {"streams": streams, "seed": seed, "wall_s": round(time.monotonic() - began_s, 1), "failures": 0}
 
 
-def fuzz(streams: int = 20_000, seed: int = 1) -> dict[str, Any]:
+def fuzz(streams: int = STREAMS, seed: int = 1) -> dict[str, Any]:
     """Every codec over `streams` damaged streams."""
     return {name: fuzz_codec(name, streams, seed) for name in CODECS}
 
 
 def main(
-    streams: Annotated[int, typer.Option(min=1, help="Damaged streams for each codec.")] = 20_000,
+    streams: Annotated[int, typer.Option(min=1, help="Damaged streams for each codec.")] = STREAMS,
     seed: Annotated[int, typer.Option(help="Same seed, same damage.")] = 1,
     codec: Annotated[list[str] | None, typer.Option(help="Only these; repeat.")] = None,
 ) -> None:

@@ -87,6 +87,42 @@ TICK_S = 0.5
 REPEAT_S = 3.0
 """An order that a vehicle has not shown to follow is given again after this long."""
 
+# -- a walk --------------------------------------------------------------------------------------------------
+
+WALK_SIDE_M = 300.0
+"""Side of the field round a walk's first position."""
+WALK_RATE_HZ = 0.1
+WALK_FOUND_WITHIN_M = 10.0
+
+# -- devices -------------------------------------------------------------------------------------------------
+
+BAUD = 115_200
+"""Of radios that print, and of XBee modules in API mode as they are best set."""
+CHANNEL = 15
+"""Of IEEE 802.15.4."""
+MARKERS: Final = "aruco-4x4"
+SEEN_SPEED_M_S = 3.0
+"""The fastest that a robot may move between two pictures."""
+TELEMETRY: Final = "127.0.0.1:14550"
+"""Where vehicles send theirs: ArduPilot's own port."""
+POSE_NOISE_M = 0.02
+"""Standard deviation of each coordinate of an emulated vehicle's positions."""
+SURVEY_GAP_S = 5.0
+"""Between positions of a log further apart in time than this nobody knows where the radio was."""
+
+# -- calibration ---------------------------------------------------------------------------------------------
+
+MISSED: Final = "auto"
+"""Whether a log has the packets that were not received: a single empty reading proves that it has."""
+PATTERN: Final = "none"
+
+# -- the page ------------------------------------------------------------------------------------------------
+
+PAGE_HOST: Final = "127.0.0.1"
+PAGE_PORT = 8321
+COMPARED_BY: Final = "planner"
+"""How `fieldkit compare` groups missions."""
+
 # -- what is drawn -------------------------------------------------------------------------------------------
 
 ELLIPSE_90 = 2.146

@@ -20,6 +20,14 @@ ALIKE = {
     "SCHEMA": "each file format counts its own versions",
     "STEP_S": "each emulated thing has its own step of time",
 }
+NO_CHOICE = (None, "", 0, 1, -1)
+"""Nothing, none or one of it: True and False among them."""
+OTHER_THINGS = {
+    "name": "of a grid's colours, and of other things",
+    "origin": "who gave a command, in the words of the recording",
+    "size_m": "of a whole field, or of what a camera sees",
+}
+"""Names under which different things happen to have one default."""
 
 
 def sources() -> Iterator[tuple[str, ast.Module]]:
@@ -29,8 +37,8 @@ def sources() -> Iterator[tuple[str, ast.Module]]:
             yield name, ast.parse(path.read_text(encoding="utf-8"))
 
 
-def defaults(tree: ast.Module) -> Iterator[tuple[str, float]]:
-    """Numbers that fields and arguments are by default, by name."""
+def constants(tree: ast.Module) -> Iterator[tuple[str, object]]:
+    """What fields and arguments are by default where that is written out, by name."""
     for node in ast.walk(tree):
         pairs: list[tuple[str, ast.expr | None]] = []
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
@@ -44,8 +52,15 @@ def defaults(tree: ast.Module) -> Iterator[tuple[str, float]]:
             ]
             pairs += [(a.arg, v) for a, v in zip(given.kwonlyargs, given.kw_defaults, strict=True)]
         for name, value in pairs:
-            if isinstance(value, ast.Constant) and type(value.value) in (int, float):
-                yield name, float(value.value)
+            if isinstance(value, ast.Constant):
+                yield name, value.value
+
+
+def defaults(tree: ast.Module) -> Iterator[tuple[str, float]]:
+    """The numbers among these."""
+    for name, value in constants(tree):
+        if type(value) in (int, float):
+            yield name, float(value)  # type: ignore[arg-type]
 
 
 def test_no_default_of_settings_is_written_out_again() -> None:
@@ -91,6 +106,15 @@ def test_an_engine_and_a_mission_file_that_say_nothing_mean_the_same() -> None:
         EngineTable().planner,
         EndTable().max_duration_s,
     )
+
+
+def test_no_default_of_one_name_is_written_out_twice() -> None:
+    homes: dict[tuple[str, object], list[str]] = defaultdict(list)
+    for path, tree in sources():
+        for name, value in constants(tree):
+            if value not in NO_CHOICE and name not in OTHER_THINGS:
+                homes[name, value].append(path)
+    assert {each: paths for each, paths in homes.items() if len(paths) > 1} == {}
 
 
 def test_no_two_files_have_the_same_constant() -> None:

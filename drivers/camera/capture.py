@@ -16,6 +16,7 @@ from typing import Any
 
 from drivers.camera.seen import Body, Fix, Judge
 from drivers.camera.view import View
+from fieldkit import settings as given
 
 OPEN_TIMEOUT_MS = 5000
 READ_TIMEOUT_MS = 3000
@@ -31,10 +32,10 @@ class Task:
     bodies: dict[str, Body]
     markers: dict[int, str] = field(default_factory=dict)
     """Marker number to robot."""
-    family: str = "aruco-4x4"
+    family: str = given.MARKERS
     pairs: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Robot to the colours of its front and rear patch."""
-    max_speed_m_s: float = 3.0
+    max_speed_m_s: float = given.SEEN_SPEED_M_S
     every_picture: bool = False
     """Of a file: take all pictures as fast as they come, not at their own pace."""
 

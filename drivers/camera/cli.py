@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
+from fieldkit import settings as given
+
 app = typer.Typer(
     help="Overhead camera. Example: fieldkit camera calibrate rtsp://10.0.0.9/1 camera.toml",
     no_args_is_help=True,
@@ -78,7 +80,7 @@ def look(
     calibration: Annotated[Path, typer.Argument(metavar="CAMERA.TOML", help="Calibration file.")],
     marker: Annotated[list[str], typer.Option(help="ROBOT=NUMBER; repeat for each robot.")],
     height_m: Annotated[float, typer.Option(min=0.0, help="Markers' height above the ground.")] = 0.0,
-    family: Annotated[str, typer.Option(help="aruco-4x4 ... apriltag-36h11.")] = "aruco-4x4",
+    family: Annotated[str, typer.Option(help="aruco-4x4 ... apriltag-36h11.")] = given.MARKERS,
     out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write.")] = Path("camera.png"),
     as_json: AsJson = False,
 ) -> None:

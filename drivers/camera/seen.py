@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.camera.view import View
+from fieldkit import settings as given
 from fieldkit.messages import FloatArray
 
 PIXEL_SIGMA = 0.35
@@ -58,7 +59,9 @@ class Body:
 class Judge:
     """Turns what was seen into fixes; remembers where each robot was."""
 
-    def __init__(self, view: View, bodies: dict[str, Body], max_speed_m_s: float = 3.0) -> None:
+    def __init__(
+        self, view: View, bodies: dict[str, Body], max_speed_m_s: float = given.SEEN_SPEED_M_S
+    ) -> None:
         self._view = view
         self._bodies = bodies
         self._max_speed_m_s = max_speed_m_s

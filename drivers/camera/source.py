@@ -18,6 +18,7 @@ from drivers.camera.capture import Ended, Found, Task, run
 from drivers.camera.file import read_view
 from drivers.camera.seen import Body
 from drivers.options import checked
+from fieldkit import settings as given
 from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.messages import Pose
 from fieldkit.ports import DriverContext
@@ -42,8 +43,8 @@ class CameraOptions:
     robots: dict[str, Any] = field(default_factory=dict)
     """Robot to its mark: `{ marker = 7 }` or `{ front = "red", rear = "blue" }`, and perhaps `mark_m`,
     `height_m`, `front_deg`."""
-    family: str = "aruco-4x4"
-    max_speed_m_s: float = 3.0
+    family: str = given.MARKERS
+    max_speed_m_s: float = given.SEEN_SPEED_M_S
     every_picture: bool = False
     """Of a file: take every picture as fast as possible; poses carry times from the moment of opening."""
 

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from drivers.emulators.defaults import PICTURES_HZ
+from fieldkit import settings as given
 from fieldkit.messages import FloatArray
 
 SUPERSAMPLE = 3
@@ -72,7 +74,7 @@ class Scene:
     robots: dict[str, Shown]
     eye: Eye = field(default_factory=Eye)
     size_m: float = 10.0
-    family: str = "aruco-4x4"
+    family: str = given.MARKERS
     noise: float = 5.0
     blur_px: float = 0.7
     shadows: bool = True
@@ -229,7 +231,7 @@ def _square(east: float, north: float, heading_deg: float, side_m: float, up_m: 
     return np.column_stack([flat, np.full(4, up_m)])
 
 
-def write_film(scene: Scene, path: Path, duration_s: float, rate_hz: float = 16.0) -> list[float]:
+def write_film(scene: Scene, path: Path, duration_s: float, rate_hz: float = PICTURES_HZ) -> list[float]:
     """Write a Motion JPEG film (.avi); the time of each of its pictures."""
     import cv2
 
@@ -257,7 +259,7 @@ def write_calibration(scene: Scene, path: Path, count: int = 8, click_px: float 
 class PictureServer:
     """A network camera: Motion JPEG over HTTP. It can stall, send damaged pictures, and go away."""
 
-    def __init__(self, picture: Callable[[float], Any], rate_hz: float = 16.0, port: int = 0) -> None:
+    def __init__(self, picture: Callable[[float], Any], rate_hz: float = PICTURES_HZ, port: int = 0) -> None:
         self._picture, self._rate_hz, self._port = picture, rate_hz, port
         self._server: asyncio.Server | None = None
         self._tasks: set[asyncio.Task[Any]] = set()

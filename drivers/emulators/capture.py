@@ -11,12 +11,13 @@ from pathlib import Path
 
 from drivers.emulators.faults import Rewrite
 from drivers.emulators.sniffers import data_frame
+from fieldkit import settings as given
 
 TAP = 283
 _RSS, _CHANNEL, _LQI = 1, 3, 10
 
 
-def tap_packet(rss_dbm: float, psdu: bytes, channel: int = 15, lqi: int = 120) -> bytes:
+def tap_packet(rss_dbm: float, psdu: bytes, channel: int = given.CHANNEL, lqi: int = 120) -> bytes:
     """Strength, channel and quality before a frame without check bytes."""
     headers = struct.pack("<HHf", _RSS, 4, rss_dbm) + struct.pack("<HHHBx", _CHANNEL, 3, channel, 0)
     headers += struct.pack("<HHB3x", _LQI, 1, lqi)
@@ -36,7 +37,7 @@ def classic_record(t_ns: int, data: bytes) -> bytes:
 class PipeSniffer:
     """Writes what it hears to a named pipe; `now_ns` is its own clock. Made with `plug`, ended with `unplug`."""
 
-    def __init__(self, path: Path, now_ns: Callable[[], int], channel: int = 15) -> None:
+    def __init__(self, path: Path, now_ns: Callable[[], int], channel: int = given.CHANNEL) -> None:
         self.port = str(path)
         self.channel = channel
         self.rewrite: Rewrite | None = None

@@ -22,6 +22,7 @@ from typing import Any, Self
 import numpy as np
 
 from drivers.emulators.autopilot import Autopilot
+from drivers.emulators.defaults import FIRMWARE
 from drivers.emulators.faults import FAULTS
 from drivers.emulators.profiles import COPTER
 from drivers.emulators.profiles import PROFILES as FIRMWARES
@@ -57,7 +58,7 @@ class EmulatedRobot:
     east_m: float
     north_m: float
     heading_deg: float = 0.0
-    firmware: str = "rover"
+    firmware: str = FIRMWARE
     """rover, copter or px4."""
 
 

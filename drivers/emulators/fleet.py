@@ -63,7 +63,7 @@ class FleetSpec:
     """Where telemetry goes."""
     seed: int
     max_speed_m_s: float = given.MAX_SPEED_M_S.default
-    pose_noise_m: float = 0.02
+    pose_noise_m: float = given.POSE_NOISE_M
     signing_key: bytes | None = None
 
 

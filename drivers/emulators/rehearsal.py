@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.emulators.defaults import PROFILE, SOURCES
 from drivers.emulators.field import ROBOT_ADDRESS, SOURCE_ADDRESS, STEP_S
 from drivers.emulators.wires import PluggedModule, PtyWire, TcpWire, Wire
 from drivers.emulators.xbee import PROFILES, Module
@@ -50,7 +51,7 @@ class Rehearsal:
     antenna: Antenna
     robots: tuple[Rehearsed, ...]
     sources: tuple[TransientSource, ...]
-    profile: str = "s2c"
+    profile: str = PROFILE
 
 
 @dataclass
@@ -94,9 +95,9 @@ def read_rehearsal(
     path: Path,
     *,
     sources: Sequence[TransientSource] = (),
-    count: int = 3,
+    count: int = SOURCES,
     seed: int = 1,
-    profile: str = "s2c",
+    profile: str = PROFILE,
 ) -> Rehearsal:
     """What a mission file has of robots, field and antenna. `sources` empty: `count` are hidden at random.
 

@@ -17,6 +17,7 @@ from drivers.sniffers.ti import (
     START_CAPTURE,
     STOP_CAPTURE,
 )
+from fieldkit import settings as given
 
 PAN = 0x1AAA
 PROMPT = b"\x1b[1;32muart:~$ \x1b[m"
@@ -35,7 +36,7 @@ class NrfDongle:
     """Nordic's firmware: a shell with a prompt and an echo, frames as lines of text."""
 
     now_us: Callable[[], int]
-    channel: int = 15
+    channel: int = given.CHANNEL
     """The channel on which transmissions are made; what it listens on is set by command."""
     signed_time: bool = True
     serial_number: int = 1
@@ -89,7 +90,7 @@ class TiDongle:
     """TI's firmware: binary packets, found by length. Payloads may contain the end marker."""
 
     now_us: Callable[[], int]
-    channel: int = 15
+    channel: int = given.CHANNEL
     with_checksum: bool = False
     serial_number: int = 2
     busy_until_s: float = 0.0

@@ -25,7 +25,7 @@ from fieldkit.errors import DeviceError
 from fieldkit.geo import FieldFrame
 from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.sources import TransientSource, Transmissions
-from fieldkit.world.walker import Walker, WanderingError, body_loss_db
+from fieldkit.world.walker import IGNORES, WALKING_M_S, Walker, WanderingError, body_loss_db
 
 STEP_S = 0.2
 FIX_S = 1.0
@@ -45,8 +45,8 @@ class WalkSpec:
     style: str
     """In whose words the radio prints; `xbee` is a module that does not print."""
     seed: int
-    speed_m_s: float = 1.2
-    ignores: float = 1.0 / 3.0
+    speed_m_s: float = WALKING_M_S
+    ignores: float = IGNORES
     behind_db: float = 8.0
     gnss_sigma_m: float = 3.0
 

@@ -17,6 +17,7 @@ from drivers.links import ByteLink, arrival_ns
 from drivers.options import checked
 from drivers.threaded import ThreadedReceiver
 from drivers.timebase import DeviceStamps
+from fieldkit import settings as given
 from fieldkit.errors import ConfigError
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
@@ -55,7 +56,7 @@ class LinesOptions:
     """Mission time without any line after which the radio counts as down."""
     from_start: bool = False
     """Of a file: read what is in it already."""
-    baud: int = 115200
+    baud: int = given.BAUD
     saturation_dbm: float | None = None
 
 

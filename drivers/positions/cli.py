@@ -59,7 +59,9 @@ def survey(
     window_s: Annotated[
         float, typer.Option(min=0.001, help="Receptions this close are one packet.")
     ] = given.WINDOW_S.default,
-    max_gap_s: Annotated[float, typer.Option(min=0.1, help="Longest gap between positions.")] = 5.0,
+    max_gap_s: Annotated[
+        float, typer.Option(min=0.1, help="Longest gap between positions.")
+    ] = given.SURVEY_GAP_S,
     shift_s: Annotated[float, typer.Option(help="Added to the readings' times.")] = 0.0,
     geojson: Annotated[Path | None, typer.Option(help="Write candidates and path to this file.")] = None,
     topics: Annotated[

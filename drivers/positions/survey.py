@@ -41,8 +41,7 @@ class Settings:
     rate_hz: float = given.RATE_HZ.default
     expected: float = 1.0
     window_s: float = given.WINDOW_S.default
-    max_gap_s: float = 5.0
-    """Between positions further apart in time than this nobody knows where the radio was."""
+    max_gap_s: float = given.SURVEY_GAP_S
     shift_s: float = 0.0
     """Added to the readings' times, where two clocks disagree."""
     sigma_m: float | None = None

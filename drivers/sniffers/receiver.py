@@ -17,6 +17,7 @@ from drivers.sniffers.protocol import CHANNELS, Captured, SnifferProtocol
 from drivers.sniffers.ti import TiBinary
 from drivers.threaded import ThreadedReceiver
 from drivers.timebase import DeviceStamps
+from fieldkit import settings as given
 from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
@@ -39,7 +40,7 @@ class SnifferOptions:
     """What a mission file says of a sniffer dongle."""
 
     port: str
-    channel: int = 15
+    channel: int = given.CHANNEL
     channels: list[int] | None = None
     """Listen on these in turn, `dwell_s` each, in place of `channel`."""
     dwell_s: float = 1.0

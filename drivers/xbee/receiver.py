@@ -23,6 +23,7 @@ from drivers.xbee.energy import energies, parameter
 from drivers.xbee.last_hop import LastHop
 from drivers.xbee.listen import FrameInterface, ListenOnly
 from drivers.xbee.settings import SATURATION_DBM, ModuleSettings, advice, read_settings, why_it_cannot_hear
+from fieldkit import settings as given
 from fieldkit.errors import ConfigError, DeviceError, DeviceTimeout
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
@@ -39,7 +40,7 @@ class XBeeOptions:
 
     port: str
     """Device path, `socket://host:port`, `rfc2217://host:port` or another pyserial URL."""
-    baud: int = 115200
+    baud: int = given.BAUD
     saturation_dbm: float | None = None
     """Readings from here up are marked saturated; default: what the module's hardware is known for."""
     channel: int | None = None

@@ -7,6 +7,9 @@ import numpy as np
 
 from fieldkit.messages import FloatArray
 
+WALKING_M_S = 1.2
+IGNORES = 1.0 / 3.0
+"""Share of hints that a person does not follow."""
 NEW_HINT_M = 3.0
 """Advice that moves by less is the same hint."""
 ARRIVED_M = 1.0
@@ -21,8 +24,8 @@ class Walker:
     east_m: float
     north_m: float
     rng: np.random.Generator
-    speed_m_s: float = 1.2
-    ignores: float = 1.0 / 3.0
+    speed_m_s: float = WALKING_M_S
+    ignores: float = IGNORES
     """Share of hints that are not followed: then the person walks on as they please, until the next hint."""
     size_m: tuple[float, float] = (math.inf, math.inf)
     """The field: nobody walks out of it of their own accord."""

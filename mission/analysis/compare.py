@@ -9,13 +9,14 @@ import jinja2
 import numpy as np
 
 from fieldkit import __version__
+from fieldkit import settings as given
 from fieldkit.files import write_whole
 from mission.analysis.figures import figures
 
 GROUPS = ("planner", "belief", "name", "robots", "seed")
 
 
-def compare(logs: Sequence[Path], out: Path | None, by: str = "planner") -> dict[str, Any]:
+def compare(logs: Sequence[Path], out: Path | None, by: str = given.COMPARED_BY) -> dict[str, Any]:
     """Figures of each recording, and of each group by `by`; the page is written to `out` unless that is None.
 
     Raises `RecordingError` for what is no recording: then no page is written.

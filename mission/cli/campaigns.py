@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
+from fieldkit import settings as given
+
 _JSON = Annotated[bool, typer.Option("--json", help="Print the result alone, as JSON, on standard output.")]
 
 
@@ -14,7 +16,7 @@ def compare(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recordings (mission.mcap).")],
     by: Annotated[
         str, typer.Option(help="What to group by: planner, belief, name, robots or seed.")
-    ] = "planner",
+    ] = given.COMPARED_BY,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write a page (HTML) with the table and plots.")
     ] = None,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fieldkit import settings as given
 from mission.cli.options import (
     HostOption,
     JsonOption,
@@ -41,8 +42,8 @@ def run(
         str, typer.Option(help="Why it may start although a vehicle's check is red; goes into the recording.")
     ] = "",
     page: PageOption = True,
-    page_host: HostOption = "127.0.0.1",
-    page_port: PortOption = 8321,
+    page_host: HostOption = given.PAGE_HOST,
+    page_port: PortOption = given.PAGE_PORT,
     as_json: JsonOption = False,
 ) -> None:
     """Run a mission on your own radios and vehicles, with a live page in the browser.
@@ -332,7 +333,7 @@ def check(
 
 def dashboard(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="A recording (mission.mcap).")],
-    page_host: HostOption = "127.0.0.1",
+    page_host: HostOption = given.PAGE_HOST,
     page_port: PortOption = 8322,
 ) -> None:
     """Show a recording on the page that the live mission had, with a time to go to and a speed to play at.

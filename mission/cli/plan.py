@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from fieldkit import settings as given
 from mission.cli.options import HostOption, PortOption, print_code, say
 
 
@@ -14,7 +15,7 @@ def plan(
     mission_file: Annotated[
         Path, typer.Argument(metavar="MISSION.TOML", help="The mission file; made where there is none.")
     ] = Path("mission.toml"),
-    page_host: HostOption = "127.0.0.1",
+    page_host: HostOption = given.PAGE_HOST,
     page_port: PortOption = 8323,
     show: Annotated[bool, typer.Option("--open/--no-open", help="Open it in the browser.")] = True,
 ) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fieldkit import settings as given
 from mission.cli.options import (
     HostOption,
     JsonOption,
@@ -41,12 +42,16 @@ def walk(
     antenna: Annotated[Path | None, typer.Option(help="The antenna file of 'fieldkit calibrate'.")] = None,
     size_m: Annotated[
         float, typer.Option(min=10.0, help="Side of the field round the first position.")
-    ] = 300.0,
-    rate_hz: Annotated[float, typer.Option(min=1e-4, help="How often a transmitter sends.")] = 0.1,
+    ] = given.WALK_SIDE_M,
+    rate_hz: Annotated[
+        float, typer.Option(min=1e-4, help="How often a transmitter sends.")
+    ] = given.WALK_RATE_HZ,
     sources: Annotated[
         int, typer.Option(min=1, help="How many there may be; the walk ends when all are found.")
     ] = 1,
-    within_m: Annotated[float, typer.Option(min=0.5, help="A transmitter is found within this.")] = 10.0,
+    within_m: Annotated[
+        float, typer.Option(min=0.5, help="A transmitter is found within this.")
+    ] = given.WALK_FOUND_WITHIN_M,
     cot: Annotated[
         list[str] | None,
         typer.Option(
@@ -61,8 +66,8 @@ def walk(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this walk.")] = Path("runs"),
     page: PageOption = True,
-    page_host: HostOption = "127.0.0.1",
-    page_port: PortOption = 8321,
+    page_host: HostOption = given.PAGE_HOST,
+    page_port: PortOption = given.PAGE_PORT,
     as_json: JsonOption = False,
 ) -> None:
     """Walk to hidden transmitters: the page says where to go next, and what has been found.

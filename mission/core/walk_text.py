@@ -5,6 +5,8 @@ from typing import Any
 
 import tomlkit
 
+from fieldkit import settings as given
+
 CELLS_A_SIDE = 60
 """Of the field: the belief refines itself where it needs to."""
 POSITION_SIGMA_M = 3.0
@@ -22,10 +24,10 @@ class WalkOptions:
     """Path of the antenna file, as the mission file will find it."""
     origin_deg: tuple[float, float]
     """Of the field's south-west corner."""
-    size_m: float = 300.0
-    rate_hz: float = 0.1
+    size_m: float = given.WALK_SIDE_M
+    rate_hz: float = given.WALK_RATE_HZ
     expected: float = 1.0
-    found_within_m: float = 10.0
+    found_within_m: float = given.WALK_FOUND_WITHIN_M
     name: str = "walk"
     person: str = "me"
     seed: int = 0

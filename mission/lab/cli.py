@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from fieldkit import settings as given
 from mission.cli.options import (
     HostOption,
     JsonOption,
@@ -35,8 +36,8 @@ def demo(
         typer.Option(min=0.1, max=20.0, help="Mission seconds per wall second; a walk takes twice as many."),
     ] = 10.0,
     page: PageOption = False,
-    page_host: HostOption = "127.0.0.1",
-    page_port: PortOption = 8321,
+    page_host: HostOption = given.PAGE_HOST,
+    page_port: PortOption = given.PAGE_PORT,
     as_json: JsonOption = False,
 ) -> None:
     """Run one whole mission on emulated radios and rovers, through the real drivers.

@@ -18,14 +18,15 @@ from mission.shell.setups import radio_of, start_places
 
 ANTENNA = Antenna(2.53, -62.0, 3.3, -70.0, -36.0)
 LEVELS_DB = (-8.0, -6.0, -4.0, -2.0, 0.0)
+ROBOTS, DURATION_S = 4, 120.0
 
 
 def small_mission(
     folder: Path,
     *,
     seed: int = 1,
-    duration_s: float = 120.0,
-    robots: int = 4,
+    duration_s: float = DURATION_S,
+    robots: int = ROBOTS,
     sources_found: int | None = None,
     engine: Mapping[str, str | float | bool] = MappingProxyType({}),
     antenna: AntennaFile = AntennaFile(ANTENNA),
@@ -61,8 +62,8 @@ def record_simulated(
     folder: Path,
     *,
     seed: int = 1,
-    duration_s: float = 120.0,
-    robots: int = 4,
+    duration_s: float = DURATION_S,
+    robots: int = ROBOTS,
     sources_found: int | None = None,
     engine: Mapping[str, str | float | bool] = MappingProxyType({}),
     antenna: AntennaFile = AntennaFile(ANTENNA),

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from fieldkit import settings as given
 from fieldkit.messages import Operator
 from fieldkit.recording.reader import Recording
 from mission.core.mission_file import Mission
@@ -59,7 +60,7 @@ class LivePage:
 
 
 @contextmanager
-def live(mission: Mission, *, host: str = "127.0.0.1", port: int = 0) -> Iterator[LivePage]:
+def live(mission: Mission, *, host: str = given.PAGE_HOST, port: int = 0) -> Iterator[LivePage]:
     """The page of a mission about to run. Raises `ConfigError` where the port is taken."""
     made = LivePage(mission, host, port)
     with made.page:
@@ -70,7 +71,7 @@ def live(mission: Mission, *, host: str = "127.0.0.1", port: int = 0) -> Iterato
 
 
 @contextmanager
-def past(recording: Recording, *, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page]:
+def past(recording: Recording, *, host: str = given.PAGE_HOST, port: int = 0) -> Iterator[Page]:
     """The page over a recording. Raises `RecordingError`, `ConfigError`."""
     show = PastShow(recording)
     answers = Answers(show.view.mission.frame, show.view.latest.present, show.background)

@@ -29,6 +29,7 @@ from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from fieldkit import settings as given
 from fieldkit.errors import ConfigError
 from mission.page.commands import checked_command, message_of
 
@@ -143,7 +144,7 @@ class Page:
         show: Show,
         on_command: Callable[[dict[str, Any]], str] | None = None,
         *,
-        host: str = "127.0.0.1",
+        host: str = given.PAGE_HOST,
         port: int = 0,
         answers: Answers | None = None,
         front: str = "page.html",

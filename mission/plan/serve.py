@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from fieldkit import settings as given
 from mission.page.server import Mailbox, Page
 from mission.plan.answers import PlanAnswers
 from mission.plan.desk import Desk
@@ -24,7 +25,7 @@ class NothingLive:
 
 
 @contextmanager
-def plan(path: Path, *, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page]:
+def plan(path: Path, *, host: str = given.PAGE_HOST, port: int = 0) -> Iterator[Page]:
     """The editor of the mission file at `path`, which need not exist. Raises `ConfigError`."""
     answers = PlanAnswers(Desk(path))
     page = Page(NothingLive(), host=host, port=port, answers=answers, front="plan.html")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from fieldkit import plugins
+from fieldkit import settings as given
 from fieldkit.channel.antenna_file import with_pattern
 from fieldkit.channel.model import Antenna
 from fieldkit.clock import Clock, RealClock, ScaledClock
@@ -101,7 +102,7 @@ def emulated(
     *,
     seed: int,
     rate: float,
-    pose_noise_m: float = 0.02,
+    pose_noise_m: float = given.POSE_NOISE_M,
     dongles: bool = False,
 ) -> Iterator[Setup]:
     """An emulated field for the mission's robots, on a clock `rate` times as fast as the wall's.

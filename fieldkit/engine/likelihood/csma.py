@@ -18,7 +18,7 @@ nodes cannot be distinguished from few busy ones. So m is given out only for a l
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,11 +27,12 @@ from scipy.optimize import brentq
 from fieldkit.messages import FloatArray
 
 Form = Literal["exact", "printed"]
+FORM: Final = "exact"
 FRONT, BACK = 1.4825, 1.0654
 """Gains of the half-wave dipole fitted to a log-periodic array, ahead and behind (eq 3)."""
 
 
-def mean_last_arrival(offered: float, a: float, *, form: Form = "exact") -> float:
+def mean_last_arrival(offered: float, a: float, *, form: Form = FORM) -> float:
     """E[Y]: when, within the vulnerable time, the last packet of a busy period comes."""
     none = math.exp(-a * offered)
     if form == "printed":
@@ -39,7 +40,7 @@ def mean_last_arrival(offered: float, a: float, *, form: Form = "exact") -> floa
     return a + math.expm1(-a * offered) / offered
 
 
-def idle_probability(offered: float, a: float, *, form: Form = "exact") -> float:
+def idle_probability(offered: float, a: float, *, form: Form = FORM) -> float:
     """P_idle of the channel (eq 14)."""
     none = math.exp(-a * offered)
     if form == "printed":
@@ -47,7 +48,7 @@ def idle_probability(offered: float, a: float, *, form: Form = "exact") -> float
     return 1.0 / (offered * (1.0 + 2.0 * a) + none)
 
 
-def busy_collision_probability(offered: float, a: float, *, form: Form = "exact") -> float:
+def busy_collision_probability(offered: float, a: float, *, form: Form = FORM) -> float:
     """P_bc: the share of the busy time in which two packets overlap (eq 15)."""
     collides = -math.expm1(-a * offered)
     y = mean_last_arrival(offered, a, form=form)
@@ -56,7 +57,7 @@ def busy_collision_probability(offered: float, a: float, *, form: Form = "exact"
 
 
 def load_of(
-    offered: float, a: float, *, retries: bool = False, backoff: float = math.inf, form: Form = "exact"
+    offered: float, a: float, *, retries: bool = False, backoff: float = math.inf, form: Form = FORM
 ) -> float:
     """S, the new packets per packet length, behind the offered traffic G.
 
@@ -89,7 +90,7 @@ def network(
     *,
     retries: bool = False,
     backoff: float = math.inf,
-    form: Form = "exact",
+    form: Form = FORM,
 ) -> Network:
     """The load behind a measured idle probability, and the number of nodes if `rate` (lambda) is known.
 
