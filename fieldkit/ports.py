@@ -49,7 +49,7 @@ class Traits:
     """Its own way-point radius."""
     turn_radius_m: float | None = None
     speed_m_s: float | None = None
-    """What it drives at where nobody orders it."""
+    """Its speed where no order sets one."""
     return_m_s: float | None = None
     """On its own way home."""
     return_up_m: float | None = None

@@ -43,7 +43,7 @@ RATE_HZ = Quantity(0.05, 1e-6, 1_000.0, "Hz", "transmissions of a typical source
 SOURCE_UP_M = Quantity(0.0, -500.0, 9_000.0, "m", "height of transmitters above the field's origin")
 EXPECTED_SOURCES = positive(4.0, 10_000.0, "", "expected number of sources in the field")
 IDENTITY: Final = "anonymous"
-"""Nobody is taken for a source because of the address a frame names."""
+"""The addresses that frames name are not used to distinguish sources."""
 
 # -- receivers -----------------------------------------------------------------------------------------------
 

@@ -26,7 +26,7 @@ Act = Callable[[], Awaitable[None]]
 Condition = Callable[[list[Any]], bool]
 
 PATIENCE_S = 10.0
-"""Wall time after which something that should have happened has not."""
+"""Wall time that a test waits for something to happen."""
 UNPLUG_S = 2.0
 """Wall time within which a receiver must notice that its device is gone."""
 

@@ -85,7 +85,7 @@ class Autopilot(Telemetry):
     @property
     @abc.abstractmethod
     def own_speed_m_s(self) -> float:
-        """What it goes at where nobody orders it."""
+        """Its speed where no order sets one."""
 
     @abc.abstractmethod
     def _move(self, t_s: float) -> None: ...

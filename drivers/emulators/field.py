@@ -212,7 +212,7 @@ class _Telemetry(asyncio.DatagramProtocol):
             self._robot.send(self._robot.autopilot.receive(data, _world_s(self._clock)))
 
     def error_received(self, error: Exception) -> None:
-        """Nobody listens at the vehicle address yet: a radio would not know either."""
+        """Ignored: a radio would not know that nobody listens yet at the vehicle address."""
 
 
 class _Robot:

@@ -109,7 +109,7 @@ class EmulatedRover(asyncio.DatagramProtocol):
             self._watch_target()
 
     def error_received(self, error: Exception) -> None:
-        """Nobody listens: a radio would not know either."""
+        """Ignored: a radio would not know that nobody listens."""
 
     def update(self) -> None:
         """Time has passed."""

@@ -42,7 +42,7 @@ class GnssOptions:
     """Robot to its receiver: gpsd://HOST[:PORT], or where NMEA comes from: a serial device, socket://, tcp://, udp://."""
     baud: int = 9600
     max_speed_m_s: float = 15.0
-    """Nobody here is faster: a fix further away has jumped."""
+    """No robot and no person is faster: a fix further away has jumped."""
     worst_sigma_m: float = 25.0
     """A position that is worse is absent."""
 

@@ -147,7 +147,7 @@ class Talks:
             )
 
     async def unsigned(self, steered: Steered) -> timesync.ClockOffset | None:
-        """What it answers to unsigned frames on a signed link: there should be nothing. A refusal is silence."""
+        """Its answers to unsigned frames on a signed link: a vehicle that refuses them is silent."""
         packer = Packer(self.own_id, GROUND_STATION)
         with self._inbox(steered, ("TIMESYNC",)) as inbox:
             return await timesync.exchange(

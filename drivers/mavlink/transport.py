@@ -18,7 +18,7 @@ from fieldkit.errors import ConfigError, DeviceError
 logger = logging.getLogger(__name__)
 
 Peer = Any
-"""Whom bytes come from or go to: hashable; a socket address, a port's name."""
+"""The other end of a link: hashable; a socket address, a port's name."""
 OnData = Callable[[bytes, Peer], None]
 MAX_PEERS = 64
 """Addresses remembered per link; forged ones must not fill the memory."""
@@ -33,7 +33,7 @@ class Transport(Protocol):
 
     dropped: int
     default_peer: Peer | None
-    """Whom to greet before anyone was heard; None where vehicles must speak first."""
+    """The peer to greet before any was heard; None where vehicles must speak first."""
 
     async def open(self, on_data: OnData) -> None: ...
 

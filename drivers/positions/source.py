@@ -22,7 +22,7 @@ class FileOptions:
     path: str
     """CSV, GPX, tlog, dataflash .bin, a ROS 2 bag or a fieldkit recording."""
     robot: str | None = None
-    """Whose positions they are, where the log does not say."""
+    """The robot whose positions they are, where the log names none."""
     at_once: bool = False
     """Give all poses at once, not at the log's pace."""
 

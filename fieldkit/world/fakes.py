@@ -148,7 +148,7 @@ class FakeFleet:
         self.fences[robot] = StoredFence(robot, 1.0, rows)
 
     async def restore_fence(self, stored: StoredFence) -> None:
-        """As it was."""
+        """Put a stored fence back."""
         self._check(stored.robot)
         self.fences[stored.robot] = stored
 

@@ -197,7 +197,7 @@ class RecordingTable(Table):
 
 
 class MapsTable(Table):
-    """Whom else the mission informs; nobody unless it is said here."""
+    """Other maps that the mission informs; none by default."""
 
     cot: Annotated[tuple[str, ...], Field(max_length=8)] = ()
     """Cursor on Target: udp://239.2.3.1:6969 (what ATAK listens to by itself), udp://HOST:PORT, tcp://HOST:PORT."""

@@ -35,7 +35,7 @@ class WalkOptions:
     rate: float = 1.0
     """Of the mission's clock: limits of the steering loop are of wall time."""
     cot: tuple[str, ...] = ()
-    """Whom it informs by Cursor on Target."""
+    """Addresses that get Cursor on Target."""
     background: str = ""
     """A map under the page's, as the mission file will find it."""
 

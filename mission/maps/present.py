@@ -52,7 +52,7 @@ class Latest:
         self._marks: tuple[Mark, ...] = ()
 
     def present(self) -> Present:
-        """As it is now."""
+        """The latest positions, sources and marks."""
         poses = tuple(pose for name in self._mission.kernel.engine.robots if (pose := self._poses.get(name)))
         return Present(
             self._mission.file.name,

@@ -163,7 +163,7 @@ class Page:
         """The server's event loop, while it runs."""
         self.clients = 0
         self._mailboxes: dict[Mailbox, WebSocket] = {}
-        """Who looks, the first that came first."""
+        """The viewers, in the order in which they came."""
         self._leaving: set[asyncio.Task[None]] = set()
         self._ready = threading.Event()
         app = Starlette(

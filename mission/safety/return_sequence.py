@@ -252,7 +252,7 @@ class ReturnSequence:
         return not robot.called or now_ns < self.not_before_ns.get(robot.name, LONG_AGO_NS)
 
     def _give_up(self, robots: Mapping[str, Watched], settings: SafetySettings, now_ns: int) -> list[Command]:
-        """Nobody is under way and nobody can set out: those that could be ordered to go stay, and somebody is asked."""
+        """If no robot is under way and none will set out soon: the blocked ones stay, and the operator is called."""
         if any(self._may_set_out_yet(robots[name], settings, now_ns) for name in self.waiting):
             return []
         commands: list[Command] = []
@@ -269,7 +269,7 @@ class ReturnSequence:
 
 
 def _ways(robot: Watched, path: Sequence[Place], settings: SafetySettings) -> list[Driven]:
-    """What it drives along `path`, straight or beginning with a turn: no robot turns as wide as it is taken to."""
+    """The segments of `path` as a robot may drive them: straight, or beginning with its widest turn."""
     straight = [Segment(a, b) for a, b in itertools.pairwise(path)]
     return [robot.way(straight[0], settings), *straight]
 

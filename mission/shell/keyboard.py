@@ -59,7 +59,7 @@ def meaning(line: str, robots: Sequence[str]) -> tuple[Action, str | None]:
 
 
 def _shown(word: str) -> str:
-    """As it was typed, as far as it helps."""
+    """The word as it was typed, cut to a readable length."""
     return repr(word if len(word) <= MOST_SHOWN else f"{word[:MOST_SHOWN]}...")
 
 

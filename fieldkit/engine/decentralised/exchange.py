@@ -91,7 +91,7 @@ class Replica:
     # -- meeting another -----------------------------------------------------------------------------------
 
     def hello(self) -> bytes:
-        """What it has, for the other to see what it lacks."""
+        """A message that lists what this robot has, so that the other can send the rest."""
         return json.dumps({"from": self.me, "knows": self.knows_ns}).encode()
 
     def answer(self, hello: bytes) -> bytes:
