@@ -1,5 +1,7 @@
 """`fieldkit emulate | devices | vehicles | channels`. Heavy imports stay inside the commands."""
 
+from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,6 +17,10 @@ emulate = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
 )
+
+ORIGIN_DEG = (47.3977, 8.5456)
+"""Where an emulated field lies."""
+SPEED_M_S = 0.4
 
 Rate = Annotated[float, typer.Option(help="Mission seconds per wall second.")]
 
@@ -92,21 +98,28 @@ def field(
     address: Annotated[str, typer.Option(help="Where telemetry goes, host:port.")] = given.TELEMETRY,
     rate: Rate = 1.0,
     seed: Seed = 1,
+    out: Annotated[
+        Path, typer.Option(help="Folder for a mission file and an antenna file that fit it; written anew.")
+    ] = Path("emulated-field"),
 ) -> None:
-    """Emulate robots, radios and hidden transmitters. Example: fieldkit emulate field --robots 4 --rate 5"""
+    """Emulate robots, radios and hidden transmitters, and write a mission that searches for them, ready to run.
+
+    Example: fieldkit emulate field --robots 4
+    """
     import numpy as np
 
-    from drivers.emulators.alone import run_field
+    from drivers.emulators.alone import RATE_HZ, run_field, write_mission
     from drivers.emulators.field import EmulatedRobot
     from fieldkit.world.sources import random_sources
 
     _finite(size_m=size_m)
     rng = np.random.default_rng(seed)
-    hidden = random_sources(sources, size_m, size_m, (0.0,), 0.1, rng)
+    hidden = random_sources(sources, size_m, size_m, (0.0,), RATE_HZ, rng)
+    write = partial(write_mission, out, size_m, sources, address, ORIGIN_DEG, SPEED_M_S)
     team = tuple(
         EmulatedRobot(f"robot{n + 1}", n + 1, size_m * (n + 0.5) / robots, 0.5) for n in range(robots)
     )
-    run_field(team, tuple(hidden), address, (47.3977, 8.5456), 0.4, rate, seed)
+    run_field(team, tuple(hidden), address, ORIGIN_DEG, SPEED_M_S, rate, seed, write)
 
 
 @emulate.command()

@@ -2,6 +2,7 @@
 
 import asyncio
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,19 @@ from drivers.emulators.printer import PrintingRadio
 from drivers.emulators.sniffers import NrfDongle, TiDongle
 from drivers.emulators.wires import PluggedModule, TcpWire, make_wire
 from drivers.emulators.xbee import Module, Profile
+from fieldkit import plugins
+from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
 from fieldkit.channel.model import Antenna
 from fieldkit.clock import RealClock, ScaledClock, wall_sleep
 from fieldkit.errors import ConfigError
+from fieldkit.files import write_whole
 from fieldkit.geo import FieldFrame
 from fieldkit.world.sources import TransientSource
 
-ANTENNA = Antenna(path_loss_exponent=2.0, power_at_1m_dbm=-50.0, sigma_db=4.0, threshold_dbm=-92.0)
-"""An XBee pair near the ground, roughly."""
+ANTENNA = Antenna(path_loss_exponent=2.53, power_at_1m_dbm=-62.0, sigma_db=3.3, threshold_dbm=-70.0)
+"""An XBee pair with little power near the ground, as that of the example's readings: heard to about 2 m."""
+RATE_HZ = 0.1
+"""How often a hidden transmitter of the emulated field sends."""
 
 
 async def run_xbee(
@@ -112,8 +118,9 @@ def run_field(
     max_speed_m_s: float,
     rate: float,
     seed: int,
+    write: Callable[[list[tuple[str, int, str]]], None] | None = None,
 ) -> None:
-    """A field of robots, until Ctrl-C."""
+    """A field of robots, until Ctrl-C. `write` is given each robot's name, system id and port once they are there."""
     frame = FieldFrame(*origin_deg)
     clock = ScaledClock(rate)
     spec = FieldSpec(
@@ -128,6 +135,33 @@ def run_field(
             typer.echo(
                 f"hidden transmitter {number}: {source.east_m:.2f} m east, {source.north_m:.2f} m north"
             )
+        if write is not None:
+            write([(robot.name, robot.system_id, running.receiver_ports[robot.name]) for robot in robots])
         typer.echo("Ctrl-C ends it")
         while True:
             wall_sleep(0.5)
+
+
+def write_mission(
+    out: Path,
+    size_m: float,
+    sources: int,
+    address: str,
+    origin_deg: tuple[float, float],
+    max_speed_m_s: float,
+    robots: list[tuple[str, int, str]],
+) -> None:
+    """A mission file and an antenna file in `out` that fit an emulated field."""
+    text = plugins.load("fieldkit.templates", "emulated")(
+        size_m=size_m,
+        origin_deg=origin_deg,
+        sources=sources,
+        rate_hz=RATE_HZ,
+        max_speed_m_s=max_speed_m_s,
+        address=address,
+        robots=robots,
+    )
+    write_whole(out / "antenna.toml", dump_antenna(AntennaFile(ANTENNA)))
+    write_whole(out / "mission.toml", text)
+    typer.echo(f"written: {out}/{{mission.toml, antenna.toml}}, ready to run in another terminal:")
+    typer.echo(f"  fieldkit run {out}/mission.toml --page")

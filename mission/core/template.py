@@ -90,6 +90,35 @@ battery_reserve_pct = {reserve_pct}   # a robot goes home with this much left, o
 {each}"""
 
 
+def emulated_text(
+    *,
+    size_m: float,
+    origin_deg: tuple[float, float],
+    sources: int,
+    rate_hz: float,
+    max_speed_m_s: float,
+    address: str,
+    robots: Sequence[tuple[str, int, str]],
+) -> str:
+    """The mission file of an emulated field, ready to run. `robots`: (name, system id, port of its radio)."""
+    text = mission_text(
+        name="emulated field",
+        origin_deg=origin_deg,
+        size_m=size_m,
+        cell_m=0.2,
+        power_levels_db=(0.0,),
+        rate_hz=rate_hz,
+        expected=float(max(1, sources)),
+        planning_period_s=20.0,
+        sources_found=sources or None,
+        fence_margin_m=0.2,
+        min_separation_m=0.5,
+        robots=[TemplateRobot(name, port, f"udpin:{address}", system_id) for name, system_id, port in robots],
+    )
+    text = text.replace(f"max_speed_m_s = {given.MAX_SPEED_M_S.default}", f"max_speed_m_s = {max_speed_m_s}")
+    return f"# Written by 'fieldkit emulate field', and anew whenever it starts: copy it to keep changes.\n{text}"
+
+
 def mission_text(
     *,
     name: str = "my-field",

@@ -1,0 +1,59 @@
+"""`fieldkit emulate field` writes a mission that runs on it, with no file edited by hand."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fieldkit.clock import wall_sleep
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.mark.timeout(240)
+def test_what_it_writes_passes_check_and_preflight_and_flies(tmp_path: Path) -> None:
+    fieldkit = [sys.executable, "-m", "fieldkit"]
+    words = ["emulate", "field", "--robots", "2", "--sources", "1", "--address", f"127.0.0.1:{free_port()}"]
+    with subprocess.Popen([*fieldkit, *words], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as field:
+        assert field.stdout is not None
+        said = ""
+        while "Ctrl-C ends it" not in said:
+            line = field.stdout.readline()
+            assert line, said
+            said += line
+        assert "fieldkit run emulated-field/mission.toml --page" in said
+        mission = tmp_path / "emulated-field" / "mission.toml"
+        try:
+            checked = subprocess.run(
+                [*fieldkit, "check", mission], capture_output=True, text=True, check=False
+            )
+            assert checked.returncode == 0, checked.stderr
+            looked = subprocess.run(
+                [*fieldkit, "preflight", mission, "--json"],
+                capture_output=True,
+                text=True,
+                check=False,
+                cwd=tmp_path,
+            )
+            assert json.loads(looked.stdout)["verdict"] != "red", looked.stdout
+            with subprocess.Popen(
+                [*fieldkit, "run", mission, "--json"],
+                cwd=tmp_path,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+            ) as run:
+                wall_sleep(25.0)
+                run.send_signal(signal.SIGINT)
+                out, _ = run.communicate(timeout=60)
+            assert json.loads(out)["end_reason"].startswith("interrupted")
+        finally:
+            field.send_signal(signal.SIGINT)
+            field.wait(20)
