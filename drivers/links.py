@@ -16,13 +16,15 @@ from typing import Any, Protocol
 
 import serial
 
-from drivers.arrival import wait_readable
+from drivers.arrival import Attention, wait_readable
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError
 
 READ_TIMEOUT_S = 0.1
 """A read gives up after this long, so that whoever reads can see that it should stop."""
 CONNECT_TIMEOUT_S = 3.0
+REOPEN_AFTER_S = 5.0
+"""A connection that nobody has read for so long is opened anew: its far end sends what waits there any time later."""
 
 
 class ByteLink(Protocol):
@@ -88,6 +90,7 @@ class TcpLink:
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S)
         self.arrived_s = time.monotonic()
+        self._attention = Attention()
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         # The radio end may vanish without a word; ask after 5 s of silence, where the system can.
@@ -96,7 +99,10 @@ class TcpLink:
                 self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
     def read(self) -> bytes:
+        away_s = self._attention.look()
         arrived_s = wait_readable(self._socket.fileno(), READ_TIMEOUT_S)
+        if (away_s := max(away_s, self._attention.look())) > REOPEN_AFTER_S:
+            raise ConnectionResetError(f"nobody read it for {away_s:.1f} s: it is opened anew")
         if arrived_s is None:
             return b""
         self.arrived_s = arrived_s
@@ -134,6 +140,31 @@ class TappedLink:
         if data := self._link.read():
             self.arrived_s = self._link.arrived_s
             self._tap(data)
+        return data
+
+
+class WatchedLink:
+    """A link whose reader notices when it did not run: what waited meanwhile came nobody knows when."""
+
+    def __init__(self, link: ByteLink, on_away: Callable[[float], None]) -> None:
+        """`on_away` is told for how many seconds nobody looked, before what waited is handed over."""
+        self._link, self._on_away = link, on_away
+        self._attention = Attention()
+        self.write, self.close, self.arrived_s = link.write, link.close, link.arrived_s
+
+    @property
+    def settled(self) -> bool:
+        """What was read last came while somebody looked."""
+        return self._attention.settled
+
+    def read(self) -> bytes:
+        away_s = self._attention.look()
+        try:
+            data = self._link.read()
+            self.arrived_s = self._link.arrived_s
+        finally:
+            if (away_s := max(away_s, self._attention.look())) > 0.0:
+                self._on_away(away_s)
         return data
 
 

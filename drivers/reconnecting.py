@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import math
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable
@@ -12,6 +13,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from drivers.bounded_queue import BoundedQueue
+from drivers.links import ByteLink, WatchedLink
 from fieldkit.errors import DeviceError
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
@@ -37,6 +39,12 @@ class ReconnectingReceiver(ABC):
         self._listening = False
         self._closed = False
         self._overrun = 0
+        self._down = False
+        """It counts as down though its device is open."""
+        self._watched: WatchedLink | None = None
+        self._unseen = 0
+        self.unseen_readings = 0
+        """Receptions dropped because they had waited while nobody read: nobody knows when they came."""
         self._gate = threading.Lock()
         """Keeps states and readings in order: no reading before its `up`, none after `down`."""
 
@@ -50,6 +58,11 @@ class ReconnectingReceiver(ABC):
 
     def _start(self) -> None:  # noqa: B027 -- most devices need nothing more
         """Called when readings are wanted: the device is open and has been announced."""
+
+    def _watch(self, link: ByteLink) -> WatchedLink:
+        """The link that a subclass reads its device by: what waits in it while this computer sleeps has no date."""
+        self._watched = WatchedLink(link, self._was_away)
+        return self._watched
 
     async def __aenter__(self) -> Self:
         self._loop = asyncio.get_running_loop()
@@ -120,10 +133,31 @@ class ReconnectingReceiver(ABC):
     # What follows runs in the reader thread.
 
     def _give(self, reading: RssReading) -> None:
-        """Hand over a reading; nothing before the device is announced, nothing after it was lost."""
+        """Hand over a reading; nothing before the device is announced, after it was lost, or of unknown date."""
         with self._gate:
-            if self._listening:
-                self._put(reading)
+            if not self._listening:
+                return
+            if self._watched is not None and not self._watched.settled:
+                self._unseen += 1
+                self.unseen_readings += 1
+                return
+            if self._unseen:
+                text = f"{self._unseen} receptions that had waited unread are left out"
+                logger.warning("%s: %s", self._name, text)
+                self._put(ReceiverState(self._clock.now_ns(), self.robot, not self._down, text), always=True)
+                self._unseen = 0
+            self._put(reading)
+
+    def _was_away(self, away_s: float) -> None:
+        """Nobody has read for so long, in wall time: the silence of that time means nothing."""
+        words = f"nobody read it for {away_s:.1f} s: this computer slept, or was stopped"
+        logger.warning("%s: %s", self._name, words)
+        now_ns, rate = self._clock.now_ns(), self._clock.rate
+        since_ns = now_ns - round(away_s * rate * 1e9) if math.isfinite(rate) else now_ns
+        with self._gate:
+            if self._listening and not self._down:
+                self._put(ReceiverState(since_ns, self.robot, False, words), always=True)
+                self._put(ReceiverState(now_ns, self.robot, True, "it is read again"), always=True)
 
     def _on_lost(self, reason: str) -> None:
         """The device is gone: its silence means nothing from now on."""

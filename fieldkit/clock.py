@@ -34,19 +34,28 @@ class Clock(Protocol):
         ...
 
 
+def _since_boot_ns() -> int:
+    """Nanoseconds that never step back. They go on while the computer sleeps: `time.monotonic` does not, on Linux."""
+    boot: int | None = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic_ns() if boot is None else time.clock_gettime_ns(boot)
+
+
 class RealClock:
-    """Wall time, anchored once: a step of the system clock does not move a mission's time stamps."""
+    """Wall time, anchored once: a step of the system clock does not move a mission's time stamps.
+
+    It goes on while the computer sleeps, so that whoever wakes up knows how long nobody has steered.
+    """
 
     rate = 1.0
 
     def __init__(self) -> None:
-        self._offset_ns = time.time_ns() - time.monotonic_ns()
+        self._offset_ns = time.time_ns() - _since_boot_ns()
 
     def now_ns(self) -> int:
-        return time.monotonic_ns() + self._offset_ns
+        return _since_boot_ns() + self._offset_ns
 
     def elapsed_s(self) -> float:
-        return time.monotonic()
+        return _since_boot_ns() * 1e-9
 
     async def sleep(self, duration_s: float) -> None:
         await asyncio.sleep(max(0.0, duration_s))
@@ -103,6 +112,11 @@ class VirtualClock:
 def wall_s() -> float:
     """Wall seconds for measuring how long something took; never for deciding what a mission does."""
     return time.perf_counter()
+
+
+def awake_or_not_s() -> float:
+    """Wall seconds that go on while the computer sleeps; for noticing that it has slept."""
+    return _since_boot_ns() * 1e-9
 
 
 def utc_stamp() -> str:

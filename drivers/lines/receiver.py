@@ -125,7 +125,8 @@ class LinesReceiver(ThreadedReceiver):
         options = self._options
         # What was printed while the port was away has been missed either way.
         start = options.from_start and first
-        self._link = open_source(options.port, options.baud, self._name, from_start=start, tap=self._tap)
+        source = open_source(options.port, options.baud, self._name, from_start=start, tap=self._tap)
+        self._link = self._watch(source)
         self._split, self._stamps = LineSplitter(), DeviceStamps()
         self._senseless, self._down = 0, False
         self._read_by(self._read, self._link)

@@ -102,7 +102,7 @@ class SnifferReceiver(ThreadedReceiver):
         # Plugged in again, a dongle may get another name; only that very dongle is asked anything.
         if not first and self._usb is not None:
             self._port = port_of(self._usb) or self._options.port
-        link = open_link(self._port, self._options.baud, self._name, self._tap)
+        link = self._watch(open_link(self._port, self._options.baud, self._name, self._tap))
         self._protocol, self._stamps = self._make_protocol(), DeviceStamps()
         self._turn, self._channel = 0, self._order[0]
         try:

@@ -162,7 +162,10 @@ class XBeeReceiver(ReconnectingReceiver):
     def _connect(self, *, diagnose: bool) -> ListenOnly:
         port, baud = self._port, self._options.baud
         interface = FrameInterface(
-            lambda: open_link(port, baud, self._name, self._tap), self._clock, self._on_frame, self._on_lost
+            lambda: self._watch(open_link(port, baud, self._name, self._tap)),
+            self._clock,
+            self._on_frame,
+            self._on_lost,
         )
         device = ListenOnly(interface)
         try:

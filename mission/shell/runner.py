@@ -51,6 +51,9 @@ logger = logging.getLogger(__name__)
 LATE_STOP_S = 1.5
 """A stop that takes longer to be shown than over a poor link is an alarm."""
 
+WAKING_S = 0.15
+"""Wall time that devices have to say that this computer slept, before the silence of that time is thought about."""
+
 
 @dataclass(frozen=True, slots=True)
 class Progress:
@@ -204,9 +207,13 @@ class Runner:
             waits = await start.acquire(self.kernel, self.safety, out, resumed=resumed)
         for name, why in waits.items():
             self.put(Operator(self.setup.clock.now_ns(), "withdraw", name, why))
+        clock = self.setup.clock
         while True:
             self._ticks.tick()
-            await self.setup.clock.sleep(TICK_S)
+            slept_s = clock.elapsed_s()
+            await clock.sleep(TICK_S)
+            if clock.elapsed_s() - slept_s > self.mission.safety.overrun_s:
+                await clock.sleep(WAKING_S * clock.rate)  # devices say first that nobody has read them
 
     # -- signals ---------------------------------------------------------------------------------------------
 

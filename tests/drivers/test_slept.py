@@ -1,0 +1,144 @@
+"""After this computer has slept: what waited unread has no date, and the silence of that time means nothing."""
+
+import asyncio
+import os
+import socket
+from collections.abc import Callable
+
+import pytest
+
+from drivers import links
+from drivers.arrival import SETTLE_S, UNSEEN_S, Attention
+from drivers.lines.receiver import open_receiver as open_lines
+from drivers.links import REOPEN_AFTER_S, TcpLink
+from drivers.sniffers.receiver import open_nrf
+from drivers.xbee.receiver import open_receiver as open_xbee
+from fieldkit.clock import RealClock, awake_or_not_s
+from fieldkit.geo import FieldFrame
+from fieldkit.messages import ReceiverState, RssReading
+from fieldkit.ports import DriverContext
+
+
+class Laptop:
+    """A clock that can be put to sleep: it wakes up later, and nobody has run meanwhile."""
+
+    def __init__(self) -> None:
+        self.slept_s = 0.0
+
+    def seconds(self) -> float:
+        return awake_or_not_s() + self.slept_s
+
+
+@pytest.fixture
+def laptop(monkeypatch: pytest.MonkeyPatch) -> Laptop:
+    laptop = Laptop()
+    monkeypatch.setattr(links, "Attention", lambda: Attention(laptop.seconds))
+    return laptop
+
+
+def test_a_second_without_a_look_is_noticed_once_and_less_is_not() -> None:
+    now_s = [10.0]
+    attention = Attention(lambda: now_s[0])
+    now_s[0] += UNSEEN_S - 0.01
+    assert attention.look() == 0.0 and attention.settled
+    now_s[0] += UNSEEN_S + 0.5
+    assert attention.look() == pytest.approx(UNSEEN_S + 0.5) and not attention.settled
+    now_s[0] += SETTLE_S - 0.01
+    assert attention.look() == 0.0 and not attention.settled
+    now_s[0] += 0.02
+    assert attention.look() == 0.0 and attention.settled
+
+
+def test_the_missions_clock_goes_on_while_the_computer_sleeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    import time
+
+    if not hasattr(time, "CLOCK_BOOTTIME"):
+        pytest.skip("this system has no clock that says so")
+    clock, real = RealClock(), time.clock_gettime_ns
+    before_ns, before_s = clock.now_ns(), clock.elapsed_s()
+    monkeypatch.setattr(time, "clock_gettime_ns", lambda which: real(which) + 60_000_000_000)
+    assert clock.now_ns() - before_ns >= 60_000_000_000
+    assert clock.elapsed_s() - before_s >= 60.0
+
+
+async def heard_around_a_sleep(
+    receiver: object, hear: Callable[[], object], laptop: Laptop, slept_s: float
+) -> list[RssReading | ReceiverState]:
+    """A reception before the sleep, two that waited, and one after it."""
+    seen: list[RssReading | ReceiverState] = []
+
+    async def listen() -> None:
+        async for item in receiver.readings():  # type: ignore[attr-defined]
+            seen.append(item)
+
+    async def until(enough: Callable[[], bool]) -> None:
+        async with asyncio.timeout(10.0):
+            while not enough():
+                await asyncio.sleep(0.01)
+
+    def readings() -> int:
+        return sum(isinstance(item, RssReading) for item in seen)
+
+    async with receiver:  # type: ignore[attr-defined]
+        task = asyncio.create_task(listen())
+        await until(lambda: bool(seen))
+        hear()
+        await until(lambda: readings() == 1)
+        laptop.slept_s += slept_s
+        hear()
+        hear()
+        await until(lambda: receiver.unseen_readings == 2)  # type: ignore[attr-defined]
+        await asyncio.sleep(SETTLE_S + 0.3)
+        hear()
+        await until(lambda: readings() == 2)
+    await task
+    return seen
+
+
+def judge(seen: list[RssReading | ReceiverState], slept_s: float) -> None:
+    """Down from when nobody looked, up since; then how many were left out, and what was heard since."""
+    opened, before, down, up, told, after = seen
+    assert isinstance(before, RssReading) and isinstance(after, RssReading)
+    for state in (opened, down, up, told):
+        assert isinstance(state, ReceiverState)
+    assert not down.up and "nobody read it" in down.reason and up.up
+    assert (up.t_ns - down.t_ns) * 1e-9 == pytest.approx(slept_s, abs=1.0)
+    assert told.up and "2 receptions" in told.reason
+    assert before.t_ns <= up.t_ns <= after.t_ns
+
+
+async def test_a_printing_radio_says_that_nobody_read_it_and_leaves_out_what_waited(laptop, tmp_path) -> None:
+    pipe = tmp_path / "radio"
+    os.mkfifo(pipe)
+    receiver = open_lines(
+        "ada",
+        {"port": str(pipe), "format": "regex", "pattern": "(?P<rss>-[0-9]+)"},
+        DriverContext(RealClock(), FieldFrame(0.0, 0.0)),
+    )
+    seen = await heard_around_a_sleep(receiver, lambda: pipe.write_text("-70\n"), laptop, 61.0)
+    judge(seen, 61.0)
+
+
+async def test_an_xbee_says_that_nobody_read_it_and_leaves_out_what_waited(laptop, plug) -> None:
+    radio = await plug("s2c")
+    receiver = open_xbee(
+        "ada", {"port": radio.wire.port}, DriverContext(RealClock(), FieldFrame(0.0, 0.0))
+    )
+    seen = await heard_around_a_sleep(receiver, lambda: radio.hear(-70.0, 0x1234, b"x"), laptop, 2.5)
+    judge(seen, 2.5)
+
+
+def test_a_connection_that_nobody_read_for_long_is_opened_anew(laptop: Laptop) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = TcpLink(*server.getsockname())
+        far, _ = server.accept()
+        with far:
+            far.sendall(b"a")
+            assert link.read() == b"a"
+            laptop.slept_s += REOPEN_AFTER_S - 1.0
+            far.sendall(b"b")
+            assert link.read() == b"b"
+            laptop.slept_s += REOPEN_AFTER_S + 1.0
+            with pytest.raises(ConnectionResetError, match="opened anew"):
+                link.read()
+        link.close()
