@@ -135,6 +135,8 @@ def read_antenna(
     unless `allow_pattern`: who reads only `antenna` would take a directional antenna for one that is not.
     """
     path = Path(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe that nobody writes to is waited for
+        raise ConfigError(f"{path}: expected an antenna file, got a pipe or device")
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

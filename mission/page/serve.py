@@ -50,6 +50,10 @@ class LivePage:
         robots = runner.mission.kernel.engine.robots
         if command.get("robot") not in (None, *robots):
             return f"there is no robot {command['robot']!r}; robots are: {', '.join(robots)}"
+        if command["action"] == "exclude" and (
+            why := runner.safety.settings.forbids_closing(command["area_m"])
+        ):
+            return why
 
         def put() -> None:
             action = command["action"]

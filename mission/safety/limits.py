@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 from fieldkit import settings as given
-from fieldkit.geometry.polygons import NOWHERE, KeepOut
+from fieldkit.geometry.polygons import NOWHERE, KeepOut, Polygon
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +89,16 @@ class SafetySettings:
         """The fence alone, with that margin."""
         bare = replace(self.keep_out, polygons=())
         return _bounds(bare, self.size_east_m, self.size_north_m, self.fence_margin_m)
+
+    def closed_too(self, area_m: Polygon) -> "SafetySettings":
+        """The same with one more area closed."""
+        return replace(self, keep_out=self.keep_out.also(area_m))
+
+    def forbids_closing(self, area_m: Polygon) -> str:
+        """Why an area must not be closed while robots are out; empty where it may be."""
+        if self.closed_too(area_m).margins.leaves_room:
+            return ""
+        return "no ground would be left for a robot to be on: nothing was closed. HOLD ALL stops everybody"
 
 
 @lru_cache(maxsize=64)

@@ -37,6 +37,10 @@ FAST_SHARE = 1.25
 FAST_SLACK_M_S = 0.2
 """Faster than the limit by this share and this much is more than the noise of positions."""
 FAST_S = 3.0
+FAST_NOISE_M_S = 0.5
+"""The noise of positions forgives this much at the most: the less sure they are, the longer speed is averaged."""
+SAID_S = 2.0
+"""A vehicle's own word on its speed counts for so long."""
 ACQUIRE_S = 10.0
 """A vehicle that the operator has asked to be acquired anew may show its old mode for so long."""
 
@@ -86,6 +90,8 @@ class Watched:
     """The last tick."""
     velocity_m_s: Place = (0.0, 0.0)
     """East and north, smoothed over about a second."""
+    pace_m_s: Place = (0.0, 0.0)
+    """East and north, smoothed over as long as the noise of its positions asks for."""
     says_heading: bool = False
     """Its positions come with a heading: some sources know none, and say 0 throughout."""
     sent_ns: int = LONG_AGO_NS
@@ -100,6 +106,8 @@ class Watched:
     """How far outside it was when it was sent where it goes."""
     fast_ns: int | None = None
     """Since when it has been faster than the limit."""
+    late: str = ""
+    """Why the steering loop is late at this tick; empty where it is not."""
     resumed_ns: int = LONG_AGO_NS
     """When the operator last asked for it to go on."""
 
@@ -217,13 +225,11 @@ class Watched:
             reach_m = JUMP_SLACK_M + 3.0 * settings.max_speed_m_s * passed_s + 6.0 * pose.sigma_m
             if apart_m > reach_m:
                 self.jumped_ns = pose.t_ns
-                self.velocity_m_s = (0.0, 0.0)
+                self.velocity_m_s = self.pace_m_s = (0.0, 0.0)
             elif passed_s > 0:
-                share = passed_s / (passed_s + SMOOTH_S)
                 moved = (pose.east_m - self.pose.east_m, pose.north_m - self.pose.north_m)
-                self.velocity_m_s = tuple(  # type: ignore[assignment]
-                    v + share * (d / passed_s - v) for v, d in zip(self.velocity_m_s, moved, strict=True)
-                )
+                self.velocity_m_s = _smoothed(self.velocity_m_s, moved, passed_s, SMOOTH_S)
+                self.pace_m_s = _smoothed(self.pace_m_s, moved, passed_s, _steady_s(pose.sigma_m))
         self.pose = pose
         self.says_heading = self.says_heading or pose.heading_deg != 0.0
         self.home_m = self.home_m or (pose.east_m, pose.north_m)
@@ -240,10 +246,16 @@ class Watched:
         elif self.out_ns is None:
             self.out_ns = pose.t_ns
 
+    def drives_m_s(self, now_ns: int) -> float:
+        """How fast it is, by its positions or by its own word, whichever is more."""
+        said = self.vehicle
+        fresh = said is not None and abs(now_ns - said.t_ns) * 1e-9 <= SAID_S
+        own_m_s = said.speed_m_s if said is not None and fresh else None
+        return max(math.hypot(*self.pace_m_s) - _noise_m_s(self.pose), own_m_s or 0.0)
+
     def _mind_speed(self, pose: Pose, settings: SafetySettings) -> None:
         """Note since when it is faster than the limit, by more than its positions may be off."""
-        limit_m_s = FAST_SHARE * settings.max_speed_m_s + FAST_SLACK_M_S + 3.0 * pose.sigma_m / SMOOTH_S
-        if math.hypot(*self.velocity_m_s) <= limit_m_s:
+        if self.drives_m_s(pose.t_ns) <= FAST_SHARE * settings.max_speed_m_s + FAST_SLACK_M_S:
             self.fast_ns = None
         elif self.fast_ns is None:
             self.fast_ns = pose.t_ns
@@ -277,6 +289,23 @@ class Watched:
         if self.target is not None:
             self.fading, self.stopped_ns = self.target, self.now_ns
         self.target = None
+
+
+def _smoothed(before: Place, moved_m: Place, passed_s: float, over_s: float) -> Place:
+    """A velocity with one more step taken in, averaged over about `over_s`."""
+    share = passed_s / (passed_s + over_s)
+    east, north = (v + share * (d / passed_s - v) for v, d in zip(before, moved_m, strict=True))
+    return east, north
+
+
+def _steady_s(sigma_m: float) -> float:
+    """Over so long a speed must be averaged that three deviations of its positions stay below `FAST_NOISE_M_S`."""
+    return max(SMOOTH_S, 3.0 * sigma_m / FAST_NOISE_M_S)
+
+
+def _noise_m_s(pose: Pose | None) -> float:
+    """How fast a robot may seem for the noise of its positions alone: three deviations."""
+    return 0.0 if pose is None else 3.0 * pose.sigma_m / _steady_s(pose.sigma_m)
 
 
 def trouble_of(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | None:
@@ -321,7 +350,7 @@ def under_way_trouble(robot: Watched, settings: SafetySettings, now_ns: int) -> 
             "near", f"it is, or would soon be, nearer than {settings.near_m:.2f} m to another robot"
         )
     if robot.fast_ns is not None and (pose.t_ns - robot.fast_ns) * 1e-9 >= FAST_S:
-        speed_m_s = math.hypot(*robot.velocity_m_s)
+        speed_m_s = robot.drives_m_s(pose.t_ns)
         return Trouble(
             "fast",
             f"it drives {speed_m_s:.1f} m/s where the limit is {settings.max_speed_m_s:.1f}: it ignores our speed",

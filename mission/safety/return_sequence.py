@@ -284,7 +284,7 @@ def _place_of(robot: Watched, settings: SafetySettings, now_ns: int) -> Place | 
 
 def _must_stop(robot: Watched, settings: SafetySettings, now_ns: int) -> str:
     """Why one on its way home must hold as any other would; empty where it need not."""
-    if reason := position_fault(robot, settings, now_ns):
+    if reason := robot.late or position_fault(robot, settings, now_ns):
         return reason
     if robot.vehicle is not None and not robot.vehicle.link_up:
         return "its link is down"

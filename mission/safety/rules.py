@@ -21,7 +21,7 @@ Every intervention carries its reason. A hold is repeated until the vehicle says
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -196,7 +196,7 @@ class Safety:
         """Close an area from now on, and stop those on a path across it: one may be there before it is sent anew."""
         if len(event.area_m) < 3 or not np.isfinite(event.area_m).all():
             return []
-        self.settings = replace(self.settings, keep_out=self.settings.keep_out.also(event.area_m))
+        self.settings = self.settings.closed_too(event.area_m)
         closed = KeepOut((event.area_m,), margin_m=self.settings.fence_margin_m)
         stopped = self.returning.ask_anew(self.robots, closed)
         for robot in self.robots.values():
@@ -217,7 +217,7 @@ class Safety:
         """Hold robots that move though they must not; send home and call for what holding does not mend."""
         self._late = self._lateness(now_ns)
         for robot in self.robots.values():
-            robot.now_ns = now_ns
+            robot.now_ns, robot.late = now_ns, self._late
         if self._late:  # what lasted while nobody looked is not held against a robot
             for robot in self.robots.values():
                 robot.progress_ns = now_ns

@@ -83,6 +83,11 @@ class MissionRecorder:
         for follower in self._followers:
             follower.note(level, text, t_ns)
 
+    def flush(self) -> None:
+        """Followers hand on what they have."""
+        for follower in self._followers:
+            follower.flush()
+
     def outcome(self, number: int, t_ns: int, outcome: Outcome) -> None:
         """What a step led to, commands apart."""
         for note in outcome.notes:
@@ -98,8 +103,7 @@ class MissionRecorder:
             for follower in self._followers:
                 follower.belief(number, t_ns, digest=digest)
         if outcome.notes:
-            for follower in self._followers:
-                follower.flush()
+            self.flush()
 
     def look_if_due(self, t_ns: int) -> Look | None:
         """The whole belief, if it is time to look. Takes as long as the field is large: not for the event loop."""

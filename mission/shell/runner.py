@@ -33,9 +33,10 @@ from fieldkit.messages import (
 from fieldkit.recording.reader import Step
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.settings import TICK_S
-from mission.core.kernel import Kernel, Outcome, state_digest
+from mission.core.kernel import NOTHING, Kernel, Outcome, state_digest
 from mission.core.mission_file import Mission
 from mission.safety.rules import Safety
+from mission.shell.alarms import alarms_shown
 from mission.shell.dispatcher import ACQUIRE, RELEASE, Dispatcher
 from mission.shell.intake import streams_of
 from mission.shell.landing import Landing
@@ -51,6 +52,8 @@ logger = logging.getLogger(__name__)
 LATE_STOP_S = 1.5
 """A stop that takes longer to be shown than over a poor link is an alarm."""
 
+SLEPT_S = 1.0
+"""So much later than its time a tick may be, in wall time, before this computer is taken to have slept."""
 WAKING_S = 0.15
 """Wall time that devices have to say that this computer slept, before the silence of that time is thought about."""
 
@@ -197,8 +200,9 @@ class Runner:
 
     async def _start(self) -> None:
         """Vehicles first, then time: the mission's first tick finds every robot ready to be sent somewhere."""
-        start = Start(self.mission, self.setup.clock, self.dispatcher, self._note, self.fences, self.override)
-        async with self.dispatcher.beating():
+        clock = self.setup.clock
+        start = Start(self.mission, clock, self.dispatcher, self._note, self.fences, self.override)
+        async with self.dispatcher.beating(), alarms_shown(self.alarms, self._show_now, clock):
             absent = await start.until_heard(self.kernel, self._resumed_ns, self.recorder.maybe_flush)
             resumed = self._resumed_ns > 0
             out = dict.fromkeys(absent, "nothing is heard of it")
@@ -206,13 +210,12 @@ class Runner:
             self._steered = True
             waits = await start.acquire(self.kernel, self.safety, out, resumed=resumed)
         for name, why in waits.items():
-            self.put(Operator(self.setup.clock.now_ns(), "withdraw", name, why))
-        clock = self.setup.clock
+            self.put(Operator(clock.now_ns(), "withdraw", name, why))
         while True:
             self._ticks.tick()
             slept_s = clock.elapsed_s()
             await clock.sleep(TICK_S)
-            if clock.elapsed_s() - slept_s > self.mission.safety.overrun_s:
+            if clock.elapsed_s() - slept_s > TICK_S + SLEPT_S * clock.rate:
                 await clock.sleep(WAKING_S * clock.rate)  # devices say first that nobody has read them
 
     # -- signals ---------------------------------------------------------------------------------------------
@@ -372,6 +375,11 @@ class Runner:
         late = {name: s for name, s in self.dispatcher.unconfirmed().items() if s >= LATE_STOP_S}
         alarms = [f"{name} has not shown for {late_s:.0f} s that it holds" for name, late_s in late.items()]
         return alarms + ([f"NOTHING IS RECORDED: {self.recorder.failure}"] if self.recorder.failure else [])
+
+    def _show_now(self) -> None:
+        """Without a tick, on every surface."""
+        self._show(self.setup.clock.now_ns(), NOTHING)
+        self.records.flush()
 
     def _show(self, t_ns: int, outcome: Outcome) -> None:
         progress = Progress(

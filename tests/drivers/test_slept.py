@@ -6,12 +6,12 @@ import socket
 from collections.abc import Callable
 
 import pytest
+from benches import until
 
 from drivers import links
 from drivers.arrival import SETTLE_S, UNSEEN_S, Attention
 from drivers.lines.receiver import open_receiver as open_lines
 from drivers.links import REOPEN_AFTER_S, TcpLink
-from drivers.sniffers.receiver import open_nrf
 from drivers.xbee.receiver import open_receiver as open_xbee
 from fieldkit.clock import RealClock, awake_or_not_s
 from fieldkit.geo import FieldFrame
@@ -71,11 +71,6 @@ async def heard_around_a_sleep(
         async for item in receiver.readings():  # type: ignore[attr-defined]
             seen.append(item)
 
-    async def until(enough: Callable[[], bool]) -> None:
-        async with asyncio.timeout(10.0):
-            while not enough():
-                await asyncio.sleep(0.01)
-
     def readings() -> int:
         return sum(isinstance(item, RssReading) for item in seen)
 
@@ -121,9 +116,7 @@ async def test_a_printing_radio_says_that_nobody_read_it_and_leaves_out_what_wai
 
 async def test_an_xbee_says_that_nobody_read_it_and_leaves_out_what_waited(laptop, plug) -> None:
     radio = await plug("s2c")
-    receiver = open_xbee(
-        "ada", {"port": radio.wire.port}, DriverContext(RealClock(), FieldFrame(0.0, 0.0))
-    )
+    receiver = open_xbee("ada", {"port": radio.wire.port}, DriverContext(RealClock(), FieldFrame(0.0, 0.0)))
     seen = await heard_around_a_sleep(receiver, lambda: radio.hear(-70.0, 0x1234, b"x"), laptop, 2.5)
     judge(seen, 2.5)
 

@@ -1,6 +1,7 @@
 """What a mission file must not say: refused by `check` with file, key, what was expected and what was there."""
 
 import itertools
+import os
 from pathlib import Path
 
 import pytest
@@ -98,6 +99,14 @@ def test_an_antenna_file_is_refused_in_few_words_too(value: str, tmp_path: Path)
 
 def test_the_template_itself_is_good() -> None:
     parsed()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_an_antenna_file_that_is_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "antenna.toml")
+    (tmp_path / "mission.toml").write_text(TEXT)
+    with pytest.raises(ConfigError, match="expected an antenna file, got a pipe"):
+        read_mission(tmp_path / "mission.toml")
 
 
 def test_an_antenna_file_that_is_a_folder_is_said(tmp_path: Path) -> None:

@@ -5,14 +5,18 @@ import json
 import logging
 import random
 import threading
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from websockets.sync.client import connect
 
+from fieldkit.messages import Operator
 from mission.page.commands import ACTIONS, checked_command, message_of
+from mission.page.serve import LivePage
 from mission.page.server import Mailbox, Page
+from mission.safety.limits import SafetySettings
 from mission.shell.keyboard import NotUnderstood, meaning
 
 ROBOTS = ("r1", "r2", "left rover")
@@ -149,9 +153,47 @@ def test_ten_thousand_odd_frames_leave_no_traceback_and_end_nothing(caplog: pyte
 
 
 async def test_a_page_without_a_mission_says_so() -> None:
-    from mission.page.serve import LivePage
-
     assert asyncio.get_running_loop() is not None
     page = LivePage.__new__(LivePage)
     page._runner = page._loop = None
     assert page._command({"action": "hold", "robot": None}) == "the mission is not running"
+
+
+@pytest.mark.parametrize(
+    ("area_m", "refused"),
+    [
+        (((-1.0, -1.0), (11.0, -1.0), (11.0, 9.0), (-1.0, 9.0)), True),
+        (
+            ((0.0, 0.0), (10.0, 0.0), (10.0, 7.7), (0.0, 7.7)),
+            True,
+        ),  # what is left is within the fence's margin
+        (((0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (0.0, 6.0)), False),
+    ],
+)
+def test_an_area_that_would_leave_a_robot_nowhere_to_be_is_refused_aloud(
+    area_m: tuple[tuple[float, float], ...], refused: bool
+) -> None:
+    settings = SafetySettings(("a",), 10.0, 8.0, fence_margin_m=0.2)
+    said = settings.forbids_closing(area_m)
+    assert ("nothing was closed" in said) == refused
+    assert settings.closed_too(area_m).margins.leaves_room != refused
+
+
+async def test_the_page_refuses_to_close_the_whole_field() -> None:
+    orders: list[Operator] = []
+    page = LivePage.__new__(LivePage)
+    page._loop = asyncio.get_running_loop()
+    page._runner = SimpleNamespace(  # type: ignore[assignment]
+        mission=SimpleNamespace(kernel=SimpleNamespace(engine=SimpleNamespace(robots=("a",)))),
+        safety=SimpleNamespace(settings=SafetySettings(("a",), 10.0, 8.0)),
+        setup=SimpleNamespace(clock=SimpleNamespace(now_ns=lambda: 0)),
+        put=orders.append,
+    )
+    whole, part = (
+        {"action": "exclude", "robot": None, "area_m": ((0.0, 0.0), (10.0, 0.0), (10.0, north), (0.0, north))}
+        for north in (8.0, 4.0)
+    )
+    assert "no ground would be left" in page._command(whole)
+    assert page._command(part) == ""
+    await asyncio.sleep(0)
+    assert [order.area_m for order in orders] == [part["area_m"]]

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -172,11 +173,54 @@ def test_a_quarter_and_a_bit_above_the_limit_is_too_fast(
 def test_speed_that_the_noise_of_positions_explains_is_forgiven() -> None:
     robot = Watched("a")
     for k in range(101):
-        robot.see(pose(k / 5, 20 + 2.0 * k / 5, sigma_m=0.2), LIMITS)  # 2 m/s; limit 1.45 + 3 x 0.2 m/s
+        robot.see(pose(k / 5, 20 + 1.8 * k / 5, sigma_m=0.15), LIMITS)  # 1.8 m/s; limit 1.45 + 3 x 0.15 m/s
     assert robot.fast_ns is None
     for k in range(101, 201):
-        robot.see(pose(k / 5, 20 + 2.0 * k / 5, sigma_m=0.1), LIMITS)
+        robot.see(pose(k / 5, 20 + 1.8 * k / 5, sigma_m=0.1), LIMITS)
     assert robot.fast_ns is not None
+
+
+@pytest.mark.parametrize("sigma_m", [0.3, 1.0, 2.0])
+@pytest.mark.parametrize(("speed_m_s", "fast"), [(1.9, False), (2.0, True)])
+def test_unsure_positions_forgive_half_a_metre_a_second_at_the_most(
+    sigma_m: float, speed_m_s: float, fast: bool
+) -> None:
+    robot = Watched("a")
+    for k in range(1001):
+        robot.see(pose(k / 5, speed_m_s * k / 5, sigma_m=sigma_m), LIMITS)
+    assert (robot.fast_ns is not None) == fast
+
+
+def test_a_robot_three_times_too_fast_is_noticed_within_ten_seconds_by_gnss_of_a_metre() -> None:
+    robot, rng = Watched("a"), np.random.default_rng(5)
+    robot.send(Segment((0.0, 50.0), (95.0, 50.0), 1.0), ns(0))
+    for k in range(51):
+        east, north = rng.normal((3.0 * k / 5, 50.0), 1.0)
+        robot.see(pose(k / 5, east, north, sigma_m=1.0), LIMITS)
+    assert kind(under_way_trouble(robot, LIMITS, ns(10))) == "fast"
+
+
+@pytest.mark.parametrize("sigma_m", [0.3, 1.0])
+def test_noise_alone_makes_nobody_too_fast(sigma_m: float) -> None:
+    """Ten minutes at the limit, five positions a second."""
+    robot, rng = Watched("a"), np.random.default_rng(6)
+    limits = replace(LIMITS, size_east_m=1000.0)
+    for k in range(3001):
+        east, north = rng.normal((1.0 * k / 5, 50.0), sigma_m)
+        robot.see(pose(k / 5, east, north, sigma_m=sigma_m), limits)
+        assert robot.fast_ns is None or k / 5 - robot.fast_ns * 1e-9 < 3.0
+
+
+@pytest.mark.parametrize(
+    ("said_m_s", "old_s", "fast"), [(1.46, 1.9, True), (1.46, 2.1, False), (1.44, 0.0, False)]
+)
+def test_a_vehicles_own_word_on_its_speed_counts_while_it_is_fresh(
+    said_m_s: float, old_s: float, fast: bool
+) -> None:
+    robot = seen(pose(10.0, 50.0))
+    robot.vehicle = VehicleState(ns(10.2 - old_s), "a", "guided", True, speed_m_s=said_m_s)
+    robot.see(pose(10.2, 50.0), LIMITS)
+    assert (robot.fast_ns is not None) == fast
 
 
 def test_too_fast_for_three_seconds_is_too_fast_and_slowing_down_ends_it() -> None:

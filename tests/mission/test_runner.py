@@ -269,3 +269,44 @@ def test_a_full_disk_is_an_alarm_for_as_long_as_it_lasts_and_what_was_found_is_k
     assert late and all("NOTHING IS RECORDED" in " ".join(progress.alarms) for progress in late)
     assert runner.result()["events"] > 0
     assert list(open_recording(tmp_path / "log.mcap").events()), "what was written before can be read"
+
+
+def test_a_stop_that_is_not_shown_is_an_alarm_while_others_are_still_being_acquired(tmp_path: Path) -> None:
+    """Before the first tick, which is what shows alarms otherwise."""
+
+    class Slow(FakeFleet):
+        async def acquire_control(self, robot: str, *, arm: bool = True) -> None:
+            await asyncio.sleep(20.0)
+            await super().acquire_control(robot, arm=arm)
+
+        async def hold(self, robot: str) -> None:
+            raise DeviceTimeout(f"{robot}: does not answer")
+
+    mission = small_mission(tmp_path, duration_s=5.0)
+    clock = LoopClock(1_000 * 10**9)
+    fleet = Slow({name: Rover(*place) for name, place in start_places(mission).items()}, clock)
+    names = mission.kernel.engine.robots
+    setup = Setup(clock, tuple(FakeReceiver(name, clock) for name in names), (fleet,))
+    seen: list[tuple[bool, tuple[str, ...]]] = []
+    flushed: list[float] = []
+
+    class Page(RecordingWriter):
+        def flush(self) -> None:
+            flushed.append(clock.elapsed_s())
+
+    async def go(runner: Runner) -> None:
+        running = asyncio.create_task(runner.run())
+        await clock.sleep(2.0)
+        runner.put(Operator(clock.now_ns(), "hold", names[0]))
+        await clock.sleep(6.0)
+        fleet.hold = lambda robot: FakeFleet.hold(fleet, robot)  # type: ignore[method-assign]
+        await running
+
+    with RecordingWriter(tmp_path / "log.mcap") as recorder, Page(tmp_path / "page.mcap") as page:
+        runner = Runner(mission, setup, recorder, followers=(page,))
+        runner.on_progress = lambda progress: seen.append((runner.kernel.started_ns is None, progress.alarms))
+        jumploop.run(go(runner))
+    before = [alarms for is_before, alarms in seen if is_before]
+    assert sum(f"{names[0]} has not shown" in " ".join(alarms) for alarms in before) > 3
+    assert before[-1] == (), "and that it has passed is shown too"
+    assert [s for s in flushed if 4.0 < s < 9.0]

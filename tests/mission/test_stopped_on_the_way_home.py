@@ -143,3 +143,16 @@ def test_one_behind_another_that_stays_lost_is_given_up_when_the_operator_has_be
     assert not field.said(CallOperator, "b")
     field.tick(15)
     assert len(field.said(CallOperator, "a")) == len(field.said(CallOperator, "b")) == 1
+
+
+@pytest.mark.parametrize(("silent_s", "stops"), [(3, False), (4, True)])
+def test_one_that_nobody_steered_for_a_while_holds_and_then_goes_on_home(silent_s: int, stops: bool) -> None:
+    """The loop was late, and nothing else: where it is has been known all along."""
+    field, told = homeward()
+    place = field.at["a"]
+    field.t_s += silent_s - 1
+    field.tick()
+    assert of_a(field.log[told:]) == ([Hold] if stops else [])
+    field.tick(5)
+    assert of_a(field.log[told:]) == ([Hold, GoTo] if stops else [])
+    assert field.at["a"] != place
