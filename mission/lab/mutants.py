@@ -31,7 +31,8 @@ TARGETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("tests/mission/test_safety.py", "tests/mission/test_escalation.py", "tests/mission/test_separation.py",
          "tests/mission/test_return_sequence.py", "tests/mission/test_monitor.py",
          "tests/mission/test_watched.py", "tests/mission/test_safety_rules.py",
-         "tests/mission/test_separation_turns.py", "tests/geometry/test_turns.py"),
+         "tests/mission/test_separation_turns.py", "tests/mission/test_stopped_on_the_way_home.py",
+         "tests/mission/test_released.py", "tests/geometry/test_turns.py"),
     ),
     "kernel": (
         ("mission/core/kernel.py", "mission/core/fleet.py", "mission/core/tasks.py", "mission/core/turns.py",

@@ -159,26 +159,6 @@ async def test_a_page_without_a_mission_says_so() -> None:
     assert page._command({"action": "hold", "robot": None}) == "the mission is not running"
 
 
-@pytest.mark.parametrize(
-    ("area_m", "refused"),
-    [
-        (((-1.0, -1.0), (11.0, -1.0), (11.0, 9.0), (-1.0, 9.0)), True),
-        (
-            ((0.0, 0.0), (10.0, 0.0), (10.0, 7.7), (0.0, 7.7)),
-            True,
-        ),  # what is left is within the fence's margin
-        (((0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (0.0, 6.0)), False),
-    ],
-)
-def test_an_area_that_would_leave_a_robot_nowhere_to_be_is_refused_aloud(
-    area_m: tuple[tuple[float, float], ...], refused: bool
-) -> None:
-    settings = SafetySettings(("a",), 10.0, 8.0, fence_margin_m=0.2)
-    said = settings.forbids_closing(area_m)
-    assert ("nothing was closed" in said) == refused
-    assert settings.closed_too(area_m).margins.leaves_room != refused
-
-
 async def test_the_page_refuses_to_close_the_whole_field() -> None:
     orders: list[Operator] = []
     page = LivePage.__new__(LivePage)

@@ -378,3 +378,23 @@ def test_one_on_its_way_home_is_not_stopped_for_what_stops_others() -> None:
     assert tick(safety, 31) == []
     safety.returning.forget("a")
     assert kinds(tick(safety, 31.5)) == [Hold]
+
+
+@pytest.mark.parametrize(
+    ("area_m", "refused"),
+    [
+        (((-1.0, -1.0), (11.0, -1.0), (11.0, 9.0), (-1.0, 9.0)), True),
+        (
+            ((0.0, 0.0), (10.0, 0.0), (10.0, 7.7), (0.0, 7.7)),
+            True,
+        ),  # what is left is within the fence's margin
+        (((0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (0.0, 6.0)), False),
+    ],
+)
+def test_an_area_that_would_leave_a_robot_nowhere_to_be_is_refused_aloud(
+    area_m: tuple[tuple[float, float], ...], refused: bool
+) -> None:
+    settings = SafetySettings(("a",), 10.0, 8.0, fence_margin_m=0.2)
+    said = settings.forbids_closing(area_m)
+    assert ("nothing was closed" in said) == refused
+    assert settings.closed_too(area_m).margins.leaves_room != refused
