@@ -10,8 +10,11 @@ from benches import until
 
 from drivers import links
 from drivers.arrival import SETTLE_S, UNSEEN_S, Attention
+from drivers.emulators.sniffers import NrfDongle, TiDongle
+from drivers.emulators.wires import PluggedModule, PtyWire
 from drivers.lines.receiver import open_receiver as open_lines
 from drivers.links import REOPEN_AFTER_S, TcpLink
+from drivers.sniffers.receiver import open_nrf, open_ti
 from drivers.xbee.receiver import open_receiver as open_xbee
 from fieldkit.clock import RealClock, awake_or_not_s
 from fieldkit.geo import FieldFrame
@@ -119,6 +122,18 @@ async def test_an_xbee_says_that_nobody_read_it_and_leaves_out_what_waited(lapto
     receiver = open_xbee("ada", {"port": radio.wire.port}, DriverContext(RealClock(), FieldFrame(0.0, 0.0)))
     seen = await heard_around_a_sleep(receiver, lambda: radio.hear(-70.0, 0x1234, b"x"), laptop, 2.5)
     judge(seen, 2.5)
+
+
+@pytest.mark.parametrize(("make", "opener"), [(NrfDongle, open_nrf), (TiDongle, open_ti)])
+async def test_a_sniffer_says_that_nobody_read_it_and_leaves_out_what_waited(
+    laptop, tmp_path, make, opener
+) -> None:
+    clock = RealClock()
+    radio = PluggedModule(make(lambda: clock.now_ns() // 1000), PtyWire(tmp_path / "dongle"))
+    await radio.plug()
+    receiver = opener("ada", {"port": radio.wire.port}, DriverContext(clock, FieldFrame(0.0, 0.0)))
+    judge(await heard_around_a_sleep(receiver, lambda: radio.hear(-66.0, 5, b"x"), laptop, 30.0), 30.0)
+    radio.unplug()
 
 
 def test_a_connection_that_nobody_read_for_long_is_opened_anew(laptop: Laptop) -> None:
