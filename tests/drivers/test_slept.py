@@ -2,8 +2,13 @@
 
 import asyncio
 import os
+import signal
 import socket
+import subprocess
+import sys
+import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from benches import until
@@ -53,8 +58,6 @@ def test_a_second_without_a_look_is_noticed_once_and_less_is_not() -> None:
 
 
 def test_the_missions_clock_goes_on_while_the_computer_sleeps(monkeypatch: pytest.MonkeyPatch) -> None:
-    import time
-
     if not hasattr(time, "CLOCK_BOOTTIME"):
         pytest.skip("this system has no clock that says so")
     clock, real = RealClock(), time.clock_gettime_ns
@@ -65,7 +68,11 @@ def test_the_missions_clock_goes_on_while_the_computer_sleeps(monkeypatch: pytes
 
 
 async def heard_around_a_sleep(
-    receiver: object, hear: Callable[[], object], laptop: Laptop, slept_s: float
+    receiver: object,
+    hear: Callable[[], object],
+    laptop: Laptop,
+    slept_s: float,
+    hears: Callable[[], bool] = lambda: True,
 ) -> list[RssReading | ReceiverState]:
     """A reception before the sleep, two that waited, and one after it."""
     seen: list[RssReading | ReceiverState] = []
@@ -79,7 +86,7 @@ async def heard_around_a_sleep(
 
     async with receiver:  # type: ignore[attr-defined]
         task = asyncio.create_task(listen())
-        await until(lambda: bool(seen))
+        await until(lambda: bool(seen) and hears())
         hear()
         await until(lambda: readings() == 1)
         laptop.slept_s += slept_s
@@ -132,7 +139,10 @@ async def test_a_sniffer_says_that_nobody_read_it_and_leaves_out_what_waited(
     radio = PluggedModule(make(lambda: clock.now_ns() // 1000), PtyWire(tmp_path / "dongle"))
     await radio.plug()
     receiver = opener("ada", {"port": radio.wire.port}, DriverContext(clock, FieldFrame(0.0, 0.0)))
-    judge(await heard_around_a_sleep(receiver, lambda: radio.hear(-66.0, 5, b"x"), laptop, 30.0), 30.0)
+    seen = await heard_around_a_sleep(
+        receiver, lambda: radio.hear(-66.0, 5, b"x"), laptop, 30.0, lambda: radio.module.capturing
+    )
+    judge(seen, 30.0)
     radio.unplug()
 
 
@@ -150,3 +160,60 @@ def test_a_connection_that_nobody_read_for_long_is_opened_anew(laptop: Laptop) -
             with pytest.raises(ConnectionResetError, match="opened anew"):
                 link.read()
         link.close()
+
+
+LISTENER = """
+import asyncio, sys
+from drivers.lines.receiver import open_receiver
+from fieldkit.clock import RealClock
+from fieldkit.geo import FieldFrame
+from fieldkit.messages import RssReading
+from fieldkit.ports import DriverContext
+
+async def listen():
+    options = {"port": sys.argv[1], "format": "regex", "pattern": "(?P<rss>-[0-9]+)"}
+    async with open_receiver("ada", options, DriverContext(RealClock(), FieldFrame(0.0, 0.0))) as receiver:
+        async for item in receiver.readings():
+            what = round(item.rss_dbm) if isinstance(item, RssReading) else "up" if item.up else "down"
+            print(what, item.t_ns, flush=True)
+
+asyncio.run(listen())
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system stops no processes")
+def test_a_process_that_was_stopped_dates_nothing_that_waited(tmp_path: Path) -> None:
+    """The real thing: a radio prints on while its reader is stopped for three seconds."""
+    pipe = tmp_path / "radio"
+    os.mkfifo(pipe)
+    command = [sys.executable, "-c", LISTENER, str(pipe)]
+    said: list[tuple[str, int]] = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as listener:
+        assert listener.stdout is not None
+        radio = os.open(pipe, os.O_RDWR)
+
+        def until(what: str) -> None:
+            while not said or said[-1][0] != what:
+                word, t_ns = listener.stdout.readline().split()
+                said.append((word, int(t_ns)))
+
+        def hear(rss_dbm: int) -> None:
+            os.write(radio, f"{rss_dbm}\n".encode())
+
+        try:
+            until("up")
+            hear(-70)
+            until("-70")
+            listener.send_signal(signal.SIGSTOP)
+            for _ in range(3):
+                time.sleep(1.0)
+                hear(-80)
+            listener.send_signal(signal.SIGCONT)
+            time.sleep(3.0 * SETTLE_S)
+            hear(-75)
+            until("-75")
+        finally:
+            listener.kill()
+            os.close(radio)
+    assert [word for word, _ in said] == ["up", "-70", "down", "up", "up", "-75"]
+    assert said[3][1] - said[2][1] > 2_000_000_000, "down from when nobody looked"
