@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from drivers.emulators.defaults import FIRMWARE, PICTURES_HZ, PROFILE, SOURCES
+from drivers.emulators.defaults import FIRMWARE, HIDDEN_HZ, PICTURES_HZ, PROFILE, SOURCES
 from fieldkit import settings as given
 
 SIGMA_DB = 4.0
@@ -108,13 +108,13 @@ def field(
     """
     import numpy as np
 
-    from drivers.emulators.alone import RATE_HZ, run_field, write_mission
+    from drivers.emulators.alone import run_field, write_mission
     from drivers.emulators.field import EmulatedRobot
     from fieldkit.world.sources import random_sources
 
     _finite(size_m=size_m)
     rng = np.random.default_rng(seed)
-    hidden = random_sources(sources, size_m, size_m, (0.0,), RATE_HZ, rng)
+    hidden = random_sources(sources, size_m, size_m, (0.0,), HIDDEN_HZ, rng)
     write = partial(write_mission, out, size_m, sources, address, ORIGIN_DEG, SPEED_M_S)
     team = tuple(
         EmulatedRobot(f"robot{n + 1}", n + 1, size_m * (n + 0.5) / robots, 0.5) for n in range(robots)

@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from drivers.emulators.capture import PipeSniffer
+from drivers.emulators.defaults import HIDDEN_HZ
 from drivers.emulators.field import EmulatedRobot, FieldSpec, start
 from drivers.emulators.printer import PrintingRadio
 from drivers.emulators.sniffers import NrfDongle, TiDongle
@@ -26,8 +27,6 @@ from fieldkit.world.sources import TransientSource
 
 ANTENNA = Antenna(path_loss_exponent=2.53, power_at_1m_dbm=-62.0, sigma_db=3.3, threshold_dbm=-70.0)
 """An XBee pair with little power near the ground, as that of the example's readings: heard to about 2 m."""
-RATE_HZ = 0.1
-"""How often a hidden transmitter of the emulated field sends."""
 
 
 async def run_xbee(
@@ -156,7 +155,7 @@ def write_mission(
         size_m=size_m,
         origin_deg=origin_deg,
         sources=sources,
-        rate_hz=RATE_HZ,
+        rate_hz=HIDDEN_HZ,
         max_speed_m_s=max_speed_m_s,
         address=address,
         robots=robots,

@@ -7,4 +7,6 @@ PROFILE: Final = "s2c"
 FIRMWARE: Final = "rover"
 SOURCES = 3
 """Hidden transmitters."""
+HIDDEN_HZ = 0.1
+"""How often each sends."""
 PICTURES_HZ = 16.0
