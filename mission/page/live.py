@@ -6,6 +6,7 @@ from collections import deque
 from typing import Any
 
 from fieldkit.messages import Event, Tick
+from mission.page.disk import DiskWords
 from mission.page.server import Mailbox, Page
 from mission.page.view import View, number_or, thin
 
@@ -24,6 +25,8 @@ class LiveShow:
     def __init__(self, view: View) -> None:
         self.view = view
         self.page: Page | None = None
+        self.disk: DiskWords | None = None
+        """What is said of the recording."""
         self._mailboxes: list[Mailbox] = []
         self._newcomers: deque[Mailbox] = deque()
         self._shown_ns = -FRAME_NS
@@ -76,12 +79,9 @@ class LiveShow:
             return
         newcomers = [self._newcomers.popleft() for _ in range(len(self._newcomers))]
         past = _texts(self.view.history()) if newcomers else []
-        frame = (
-            "frame",
-            json.dumps(
-                self.view.frame() | {"viewers": self.page.clients, "commanders": self.page.commanders}
-            ),
-        )
+        around = {"viewers": self.page.clients, "commanders": self.page.commanders}
+        recording = {} if self.disk is None else {"recording": self.disk.now()}
+        frame = ("frame", json.dumps(self.view.frame() | around | recording))
         now = [frame, *_texts(self.view.grids())]
         encoded = [json.dumps({"kind": "news", **each}) for each in news]
         self.page.call(lambda: self._hand_over(now, encoded, newcomers, [*past, frame]))

@@ -11,6 +11,7 @@ from fieldkit.recording.reader import Recording
 from mission.core.mission_file import Mission
 from mission.page.answers import Answers
 from mission.page.background import background_or_none
+from mission.page.disk import DiskWords
 from mission.page.live import LiveShow
 from mission.page.past import PastShow
 from mission.page.server import Page
@@ -35,6 +36,7 @@ class LivePage:
     def attach(self, runner: Runner) -> None:
         """Commands go to this runner, in the event loop that runs now."""
         self._runner, self._loop = runner, asyncio.get_running_loop()
+        self.follower.disk = DiskWords(runner.recorder.path)
 
     def _answers(self) -> dict[str, tuple[str, str]]:
         return {} if self._runner is None else self._runner.dispatcher.answers

@@ -75,7 +75,7 @@ def test_a_newcomer_gets_from_nothing_to_a_mission_that_may_start(browser: Any, 
         plan(folder / "mission.toml") as page,
         looking(browser, page.command_address) as tab,
     ):
-        tab.set_default_timeout(60_000)
+        tab.set_default_timeout(120_000)
         tab.wait_for_selector("#remarks li.red")
         assert tab.locator("#store").is_enabled() and not (folder / "mission.toml").exists()
         fill(tab, "top.name", "north meadow")

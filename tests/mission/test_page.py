@@ -22,6 +22,7 @@ from fieldkit.messages import (
 )
 from mission.lab.synthetic import small_mission
 from mission.page.commands import checked_command
+from mission.page.disk import DiskWords
 from mission.page.exposure import Exposure
 from mission.page.live import PAST_EVERY_S, LiveShow
 from mission.page.server import (
@@ -243,3 +244,21 @@ def test_the_code_for_a_phone_is_the_address(capsys: pytest.CaptureFixture[str])
 
 def strip_colours(text: str) -> str:
     return re.sub(r"\x1b\[[0-9;]*m", "", text)
+
+
+def test_the_page_says_how_large_the_recording_is_and_when_the_disk_fills(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from collections import namedtuple
+
+    path = tmp_path / "mission.mcap"
+    path.write_bytes(b"x" * 12_345)
+    room = namedtuple("room", "free")
+    monkeypatch.setattr("mission.page.disk.shutil.disk_usage", lambda _: room(34.2e9))
+    words = DiskWords(path)
+    assert words.now() == "recording, 12 kB; 34 GB left"
+    monkeypatch.setattr("mission.page.disk.shutil.disk_usage", lambda _: room(1.2e9))
+    assert words.now() == "recording, 12 kB; 34 GB left", "a disk is not asked each time"
+    assert DiskWords(path).now() == "DISK NEARLY FULL: 1.2 GB left"
+    path.unlink()
+    assert "cannot be seen" in DiskWords(path).now()

@@ -17,7 +17,7 @@ const STALE_MS = 2000;
 const SLACK_MS = 500; // frames come every half second
 const RING_MS = 1500;
 let filled = -1;
-let drawn = "";
+let drawn = { asked: "", side: -1 }; // what the map was drawn for
 
 function onMessage(message) {
   if (message.kind === "hello") {
@@ -56,13 +56,27 @@ function showStale() {
   if (box.textContent !== words) { box.textContent = words; box.hidden = !words; document.body.classList.toggle("stale", Boolean(words)); }
 }
 
-function refresh() {
-  if (model.version.side !== filled && model.frame) { filled = model.version.side; fill(); chart(); walk(); timeline(); listen(); }
-  // Drawn only when there is something new: a phone in the field has one battery.
+// Words five times a second, the chart once: nobody reads faster, and a phone in the field has one battery. The map is
+// drawn at once where a finger moves it.
+const EVERY_MS = { words: 200, map: 200, ring: 50, chart: 1000 };
+const last = { words: 0, map: 0, ring: 0, chart: 0 };
+function due(what, now_ms) {
+  if (now_ms - last[what] < EVERY_MS[what]) return false;
+  last[what] = now_ms;
+  return true;
+}
+
+function refresh(now_ms) {
+  if (model.version.side !== filled && model.frame && due("words", now_ms)) {
+    filled = model.version.side;
+    fill(); walk(); timeline(); listen();
+    if (due("chart", now_ms)) chart();
+  }
   const newest = model.detections.at(-1)?.seenAt ?? -RING_MS;
-  const moving = area.drawing || performance.now() - newest < RING_MS;
-  const now = `${model.version.side} ${model.version.grids} ${innerWidth} ${innerHeight} ${layer()} ${lookedAt()} ${pin.at} ${moving && performance.now()}`;
-  if (now !== drawn) { drawn = now; draw(); }
+  const ring = performance.now() - newest < RING_MS && due("ring", now_ms);
+  const asked = `${lookedAt()} ${pin.at} ${innerWidth} ${innerHeight} ${layer()} ${model.version.grids} ${area.drawing && now_ms}`;
+  const stale = model.version.side !== drawn.side && due("map", now_ms);
+  if (asked !== drawn.asked || stale || ring) { drawn = { asked, side: model.version.side }; draw(); }
   requestAnimationFrame(refresh);
 }
 const layer = () => document.querySelector("#layers input:checked").value;

@@ -204,7 +204,7 @@ export function fill() {
   set($("candidates"), String(frame.sources.filter((s) => s.state === "candidate" || s.state === "inconsistent").length));
   set($("detections"), String(frame.detections));
   set($("left"), `${Math.round(100 * frame.left)} %`);
-  set($("recording"), frame.recording ?? "");
+  set($("recording"), frame.recording ?? "", (frame.recording ?? "").startsWith("recording") ? "" : "bad");
   set($("viewers"), frame.viewers > 1 ? `${frame.viewers} look, ${frame.commanders} may command` : "");
   $("hold-all").disabled = !model.mayCommand || Boolean(frame.end);
   for (const button of document.querySelectorAll("#commands button")) button.disabled = !model.mayCommand || Boolean(frame.end);
