@@ -147,7 +147,7 @@ class WatchedLink:
     """A link whose reader notices when it did not run: what waited meanwhile came nobody knows when."""
 
     def __init__(self, link: ByteLink, on_away: Callable[[float], None]) -> None:
-        """`on_away` is told for how many seconds nobody looked, before what waited is handed over."""
+        """`on_away` gets the seconds for which nobody looked, before what waited is handed over."""
         self._link, self._on_away = link, on_away
         self._attention = Attention()
         self.write, self.close, self.arrived_s = link.write, link.close, link.arrived_s

@@ -30,7 +30,7 @@ AHEAD_S = 1.0
 OUT_SIGMAS = 3.0
 """A robot may be this many standard deviations of its position outside before it counts as outside."""
 COARSE_SHARE = 0.25
-"""A position less sure than this share of the field tells neither the fence nor another robot."""
+"""A position less sure than this share of the field is of no use for the fence or for another robot."""
 OUT_S = 1.5
 """... and is, when it has been for so long: one bad position is no reason to stop."""
 FAST_SHARE = 1.25

@@ -173,6 +173,19 @@ def test_orders_of_the_operator_end_steering_until_resumed(settings: KernelSetti
     assert "r1" in {c.robot for c in field.tick(2)}
 
 
+def test_a_flying_robot_whose_positions_have_no_height_is_noted_once_and_nobody_else(
+    settings: KernelSettings,
+) -> None:
+    kernel = Kernel(replace(settings, altitude_m={"r2": 12.0}))
+    kernel.step(VehicleState(0, "r2", "guided", True))
+    said = [
+        kernel.step(Pose(t_ns, robot, 2.0, 1.0, up_m, origin="camera")).notes
+        for t_ns, robot, up_m in ((1, "r1", 0.0), (2, "r2", 12.0), (3, "r2", 0.0), (4, "r2", 0.0))
+    ]
+    assert [len(notes) for notes in said] == [0, 0, 1, 0]
+    assert said[2][0].startswith("r2: it flies, and its positions (camera) have no height")
+
+
 @pytest.mark.parametrize(
     ("orders", "steered_again"),
     [
