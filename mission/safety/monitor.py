@@ -220,7 +220,7 @@ class Watched:
             self.jumped_ns = pose.t_ns
             return
         if self.pose is not None:
-            apart_m = math.dist(self.place_m or (0, 0), (pose.east_m, pose.north_m))
+            apart_m = math.dist((self.pose.east_m, self.pose.north_m), (pose.east_m, pose.north_m))
             passed_s = max(0.0, (pose.t_ns - self.pose.t_ns) * 1e-9)
             reach_m = JUMP_SLACK_M + 3.0 * settings.max_speed_m_s * passed_s + 6.0 * pose.sigma_m
             if apart_m > reach_m:
@@ -246,16 +246,17 @@ class Watched:
         elif self.out_ns is None:
             self.out_ns = pose.t_ns
 
-    def drives_m_s(self, now_ns: int) -> float:
-        """How fast it is, by its positions or by its own word, whichever is more."""
+    def drives_m_s(self, pose: Pose) -> float:
+        """How fast it is at `pose`, its last: by its positions or by its own word, whichever is more."""
+        seen_m_s = math.hypot(*self.pace_m_s) - 3.0 * pose.sigma_m / _steady_s(pose.sigma_m)
         said = self.vehicle
-        fresh = said is not None and abs(now_ns - said.t_ns) * 1e-9 <= SAID_S
-        own_m_s = said.speed_m_s if said is not None and fresh else None
-        return max(math.hypot(*self.pace_m_s) - _noise_m_s(self.pose), own_m_s or 0.0)
+        if said is None or said.speed_m_s is None or abs(pose.t_ns - said.t_ns) * 1e-9 > SAID_S:
+            return seen_m_s
+        return max(seen_m_s, said.speed_m_s)
 
     def _mind_speed(self, pose: Pose, settings: SafetySettings) -> None:
         """Note since when it is faster than the limit, by more than its positions may be off."""
-        if self.drives_m_s(pose.t_ns) <= FAST_SHARE * settings.max_speed_m_s + FAST_SLACK_M_S:
+        if self.drives_m_s(pose) <= FAST_SHARE * settings.max_speed_m_s + FAST_SLACK_M_S:
             self.fast_ns = None
         elif self.fast_ns is None:
             self.fast_ns = pose.t_ns
@@ -303,11 +304,6 @@ def _steady_s(sigma_m: float) -> float:
     return max(SMOOTH_S, 3.0 * sigma_m / FAST_NOISE_M_S)
 
 
-def _noise_m_s(pose: Pose | None) -> float:
-    """How fast a robot may seem for the noise of its positions alone: three deviations."""
-    return 0.0 if pose is None else 3.0 * pose.sigma_m / _steady_s(pose.sigma_m)
-
-
 def trouble_of(robot: Watched, settings: SafetySettings, now_ns: int) -> Trouble | None:
     """Why this robot must not move; None when it may."""
     return not_ready(robot, settings, now_ns) or (
@@ -350,7 +346,7 @@ def under_way_trouble(robot: Watched, settings: SafetySettings, now_ns: int) -> 
             "near", f"it is, or would soon be, nearer than {settings.near_m:.2f} m to another robot"
         )
     if robot.fast_ns is not None and (pose.t_ns - robot.fast_ns) * 1e-9 >= FAST_S:
-        speed_m_s = robot.drives_m_s(pose.t_ns)
+        speed_m_s = robot.drives_m_s(pose)
         return Trouble(
             "fast",
             f"it drives {speed_m_s:.1f} m/s where the limit is {settings.max_speed_m_s:.1f}: it ignores our speed",
