@@ -6,6 +6,7 @@ Both run at the clock's rate: under a clock scaled by 10, `sleep(1.0)` takes a t
 
 import asyncio
 import math
+import sys
 import time
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -34,10 +35,16 @@ class Clock(Protocol):
         ...
 
 
+# Linux: clock_gettime(2); `time.monotonic` stands still while the computer sleeps. macOS: clock_gettime(3); Python's
+# `time.monotonic` is another clock there than CLOCK_MONOTONIC, which goes on. Windows' goes on.
+_GOES_ON: int | None = getattr(
+    time, "CLOCK_BOOTTIME", getattr(time, "CLOCK_MONOTONIC", None) if sys.platform == "darwin" else None
+)
+
+
 def _since_boot_ns() -> int:
-    """Nanoseconds that never step back. They go on while the computer sleeps: `time.monotonic` does not, on Linux."""
-    boot: int | None = getattr(time, "CLOCK_BOOTTIME", None)
-    return time.monotonic_ns() if boot is None else time.clock_gettime_ns(boot)
+    """Nanoseconds that never step back, and go on while the computer sleeps."""
+    return time.monotonic_ns() if _GOES_ON is None else time.clock_gettime_ns(_GOES_ON)
 
 
 class RealClock:
