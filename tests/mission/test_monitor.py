@@ -200,6 +200,21 @@ def test_a_robot_three_times_too_fast_is_noticed_within_ten_seconds_by_gnss_of_a
     assert kind(under_way_trouble(robot, LIMITS, ns(10))) == "fast"
 
 
+@pytest.mark.parametrize("wrong", ["near", "fast", "stuck"])
+def test_people_may_stand_run_and_walk_side_by_side(wrong: str) -> None:
+    robot = seen(pose(10.0, 50.0))
+    robot.send(Segment((50.0, 50.0), (90.0, 50.0), 1.0), ns(10))
+    match wrong:
+        case "near":
+            robot.too_near = True
+        case "fast":
+            robot.fast_ns = ns(5)
+        case _:
+            robot.progress_ns = ns(-600)
+    assert kind(under_way_trouble(robot, LIMITS, ns(10))) == wrong
+    assert under_way_trouble(robot, replace(LIMITS, on_foot=frozenset({"a"})), ns(10)) is None
+
+
 @pytest.mark.parametrize("sigma_m", [0.3, 1.0])
 def test_noise_alone_makes_nobody_too_fast(sigma_m: float) -> None:
     """Ten minutes at the limit, five positions a second."""
