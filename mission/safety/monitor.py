@@ -345,15 +345,22 @@ def under_way_trouble(robot: Watched, settings: SafetySettings, now_ns: int) -> 
         return Trouble(
             "near", f"it is, or would soon be, nearer than {settings.near_m:.2f} m to another robot"
         )
-    if robot.fast_ns is not None and (pose.t_ns - robot.fast_ns) * 1e-9 >= FAST_S:
-        speed_m_s = robot.drives_m_s(pose)
-        return Trouble(
-            "fast",
-            f"it drives {speed_m_s:.1f} m/s where the limit is {settings.max_speed_m_s:.1f}: it ignores our speed",
-        )
+    if reason := too_fast(robot, settings):
+        return Trouble("fast", reason)
     if reason := _stall(robot, settings, now_ns):
         return Trouble("stuck", reason, after_s=0.0)
     return None
+
+
+def too_fast(robot: Watched, settings: SafetySettings) -> str:
+    """Faster than the limit, for a while; empty where it is not."""
+    pose = robot.pose
+    if robot.fast_ns is None or pose is None or (pose.t_ns - robot.fast_ns) * 1e-9 < FAST_S:
+        return ""
+    limit_m_s = settings.max_speed_m_s
+    return (
+        f"it drives {robot.drives_m_s(pose):.1f} m/s where the limit is {limit_m_s:.1f}: it ignores our speed"
+    )
 
 
 def is_out(robot: Watched, settings: SafetySettings) -> bool:

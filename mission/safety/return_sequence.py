@@ -16,7 +16,7 @@ from fieldkit.geometry.segments import Driven, Place, Segment, ever_m, standing
 from fieldkit.messages import CallOperator, Command, GoTo, Hold, Land, Return, Waypoint
 from fieldkit.settings import REPEAT_S
 from mission.safety.limits import SafetySettings
-from mission.safety.monitor import LONG_AGO_NS, SLOW_M_S, Watched, is_out, position_fault
+from mission.safety.monitor import LONG_AGO_NS, SLOW_M_S, Watched, is_out, position_fault, too_fast
 from mission.safety.separation import are_layered
 
 SLOWEST_M_S = 0.1
@@ -69,7 +69,7 @@ class ReturnSequence:
     not_before_ns: dict[str, int] = field(default_factory=dict)
     """Robots that were stopped on their way, and when they may set out again at the earliest."""
     strayed: set[str] = field(default_factory=set)
-    """Robots that have been out of bounds on their way."""
+    """Robots that have been out of bounds, or too fast, on their way."""
 
     def ask(self, name: str, reason: str) -> None:
         """It is to go home. Asking twice is harmless."""
@@ -152,7 +152,7 @@ class ReturnSequence:
             said = "" if robot.vehicle is None else robot.vehicle.reason
             why = f"it is not ours to steer any more: {said}".rstrip(": ")
             return [CallOperator(now_ns, name, f"{why}, on its way home: {trip.reason}")]
-        if why := _must_stop(robot, settings, now_ns):
+        if why := _must_stop(robot, trip, settings, now_ns):
             return self._stop(robot, trip, settings, now_ns, why)
         while _has_passed(trip, here, settings):
             trip.leg, trip.ordered_ns = trip.leg + 1, LONG_AGO_NS
@@ -169,15 +169,15 @@ class ReturnSequence:
     def _stop(
         self, robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int, why: str
     ) -> list[Command]:
-        """Hold on the way, and go on from there when that can be; one that leaves the bounds twice stays."""
-        name, is_outside = robot.name, is_out(robot, settings)
-        if is_outside and name in self.strayed:
+        """Hold on the way, and go on from there when that can be; one that strays or ignores our speed twice stays."""
+        name, strays = robot.name, is_out(robot, settings) or bool(too_fast(robot, settings))
+        if strays and name in self.strayed:
             self.forget(name)
             return [
                 Hold(now_ns, name, why),
                 CallOperator(now_ns, name, f"{why}, once more on its way home: {trip.reason}"),
             ]
-        if is_outside:
+        if strays:
             self.strayed.add(name)
         if not robot.too_near:  # else the others' paths say when
             self.not_before_ns[name] = now_ns + round(REPEAT_S * 1e9)
@@ -282,7 +282,7 @@ def _place_of(robot: Watched, settings: SafetySettings, now_ns: int) -> Place | 
     return robot.place_m
 
 
-def _must_stop(robot: Watched, settings: SafetySettings, now_ns: int) -> str:
+def _must_stop(robot: Watched, trip: _Trip, settings: SafetySettings, now_ns: int) -> str:
     """Why one on its way home must hold as any other would; empty where it need not."""
     if reason := robot.late or position_fault(robot, settings, now_ns):
         return reason
@@ -290,7 +290,9 @@ def _must_stop(robot: Watched, settings: SafetySettings, now_ns: int) -> str:
         return "its link is down"
     if is_out(robot, settings):
         return f"it is outside the fence or on closed ground, {robot.outside_m:.1f} m deep"
-    return "it is too near another robot" if robot.too_near else ""
+    if robot.too_near:
+        return "it is too near another robot"
+    return "" if trip.by_itself else too_fast(robot, settings)  # its own return has a speed of its own
 
 
 def _seen_at(robot: Watched) -> Place:

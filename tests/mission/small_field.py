@@ -39,6 +39,8 @@ class Field:
         self.stuck: set[str] = set()
         self.dumb: set[str] = set()
         """Robots of which no position comes any more."""
+        self.says_m_s: dict[str, float] = {}
+        """How fast robots say that they are, where they say it."""
         self.log: list[Command] = []
         self.tick()
 
@@ -52,7 +54,15 @@ class Field:
                     self.at[name] = tuple(p + share * (g - p) for p, g in zip(place, goal, strict=True))  # type: ignore[assignment]
                 if name not in self.dumb:
                     self.safety.observe(Pose(self.t_s * S, name, *self.at[name]))
-                state = VehicleState(self.t_s * S, name, self.mode[name], True, True, self.battery[name])
+                state = VehicleState(
+                    self.t_s * S,
+                    name,
+                    self.mode[name],
+                    True,
+                    True,
+                    self.battery[name],
+                    speed_m_s=self.says_m_s.get(name),
+                )
                 self.safety.observe(state)
             self.carry_out(self.safety.observe(Tick(self.t_s * S)))
 

@@ -370,14 +370,14 @@ def test_one_out_of_use_is_sent_home_once_and_said_so() -> None:
     assert safety.robots["a"].ordered == "return"
 
 
-def test_one_on_its_way_home_is_not_stopped_for_what_stops_others() -> None:
-    safety = ready(replace(ALONE, stall_s=1000.0))
+def test_one_that_does_not_get_on_on_its_way_home_is_the_sequences_to_judge() -> None:
+    safety = ready(replace(ALONE, stall_s=15.0))
     see(safety, 30, a=(5.0, 25.0))
     safety.observe(Operator(30 * S, "return"))
-    safety.robots["a"].fast_ns = 0
+    safety.robots["a"].progress_ns = -600 * S
     assert tick(safety, 31) == []
     safety.returning.forget("a")
-    assert kinds(tick(safety, 31.5)) == [Hold]
+    assert kinds(tick(safety, 31.5)) == [Hold, CallOperator]
 
 
 @pytest.mark.parametrize(

@@ -156,3 +156,30 @@ def test_one_that_nobody_steered_for_a_while_holds_and_then_goes_on_home(silent_
     field.tick(5)
     assert of_a(field.log[told:]) == ([Hold, GoTo] if stops else [])
     assert field.at["a"] != place
+
+
+def test_one_that_ignores_our_speed_is_stopped_and_the_second_time_it_stays() -> None:
+    """The limit is 0.5 m/s, it says 1.5."""
+    field, told = homeward()
+
+    field.says_m_s["a"] = 1.5
+    field.tick(5)
+    assert of_a(field.log[told:]) == [Hold]
+    field.says_m_s.clear()
+    field.tick(5)
+    assert of_a(field.log[told:]) == [Hold, GoTo]
+    field.says_m_s["a"] = 1.5
+    field.tick(5)
+    assert of_a(field.log[told:]) == [Hold, GoTo, Hold, CallOperator]
+    field.says_m_s.clear()
+    field.tick(10)
+    assert of_a(field.log[told:]) == [Hold, GoTo, Hold, CallOperator]
+
+
+def test_its_own_return_has_a_speed_of_its_own() -> None:
+    field, told = homeward()
+    field.safety.returning.under_way["a"].by_itself = True
+    field.mode["a"] = "return"
+    field.says_m_s["a"] = 1.5
+    field.tick(8)
+    assert of_a(field.log[told:]) == []
