@@ -24,14 +24,17 @@ FEW_RECEPTIONS = 3.0
 """A source with fewer is not refined: three numbers cannot be estimated from so little."""
 
 
-def write_report(log: Path, out: Path) -> dict[str, Any]:
-    """Write the page on recording `log` to `out`, whole or not at all; its key figures."""
+def write_report(log: Path, out: Path, interactive: str = "") -> dict[str, Any]:
+    """Write the page on recording `log` to `out`, whole or not at all; its key figures.
+
+    `interactive`: the mission's page as a piece of HTML, to stand in the report.
+    """
     history = read_history(log)
     covered = searched(history)
     refined = refinements(history)
     kernel = history.mission.kernel.engine
     fit = model_fit([d for _, d in history.detections], refined, kernel.antenna, kernel.pose_sigma_m)
-    write_whole(out, _page(log.name, history, covered, refined, fit))
+    write_whole(out, _page(log.name, history, covered, refined, fit, interactive))
     return {
         "recording": str(log),
         "complete": history.recording.complete,
@@ -62,7 +65,9 @@ def write_report(log: Path, out: Path) -> dict[str, Any]:
     }
 
 
-def _page(name: str, history: History, covered: Coverage, refined: list[Refined], fit: Fit) -> str:
+def _page(
+    name: str, history: History, covered: Coverage, refined: list[Refined], fit: Fit, interactive: str
+) -> str:
     """The page on the recording of this name."""
     from mission.analysis import plots
 
@@ -76,6 +81,7 @@ def _page(name: str, history: History, covered: Coverage, refined: list[Refined]
     return environment.get_template("report.html.j2").render(
         name=history.mission.file.name,
         version=__version__,
+        interactive=interactive,
         log=name,
         history=history,
         duration=words.minutes(history.duration_s),

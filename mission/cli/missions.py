@@ -92,7 +92,9 @@ def run(
 def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
     """What was found, then the report, then who does not hold: exit code 4 where somebody does not."""
     from fieldkit.errors import FieldkitError
+    from fieldkit.recording.reader import open_recording
     from mission.analysis.report import write_report
+    from mission.page.embed import embedded
     from mission.replay.command import plain_source
     from mission.shell.terminal import sources_table
 
@@ -114,7 +116,8 @@ def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
     if runner.recorder.failure:
         say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above", always=True)
     try:
-        write_report(folder / "mission.mcap", folder / "report.html")
+        recorded = folder / "mission.mcap"
+        write_report(recorded, folder / "report.html", embedded(open_recording(recorded)))
     except (OSError, FieldkitError) as error:
         again = f"'fieldkit report {folder}/mission.mcap -o FILE' tries again"
         say(f"no report was written: {error}; {again}", always=True)
@@ -259,12 +262,14 @@ def report(
     Example: fieldkit report runs/20260102T030405Z/mission.mcap -o report.html
     """
     from fieldkit.console import progress
+    from fieldkit.recording.reader import open_recording
     from mission.analysis.report import write_report
+    from mission.page.embed import embedded
 
     target = out or (log / "report.html" if log.is_dir() else log.with_name("report.html"))
     written = [target]
     with progress("writing the report"):
-        summary = write_report(log, target)
+        summary = write_report(log, target, embedded(open_recording(log)))
         if pdf:
             from mission.analysis.pdf import write_pdf
 

@@ -49,8 +49,10 @@ def demo(
     if walk or drone:
         _small_demo("" if drone else walk, seed, out, rate, (page, page_host, page_port), as_json)
         return
+    from fieldkit.recording.reader import open_recording
     from mission.analysis.report import write_report
     from mission.lab import demo as demonstration
+    from mission.page.embed import embedded
     from mission.shell.terminal import Watch, result_table
 
     folder = run_folder(out)
@@ -65,7 +67,8 @@ def demo(
         result = demonstration.run(
             folder, seed, rate=rate, on_progress=watch.show, page=shown, prepared=prepared
         )
-    write_report(folder / "mission.mcap", folder / "report.html")
+    recorded = folder / "mission.mcap"
+    write_report(recorded, folder / "report.html", embedded(open_recording(recorded)))
     plain = result.plain(seed)
     if as_json:
         print_json(plain | {"report": str(folder / "report.html")})

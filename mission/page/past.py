@@ -32,8 +32,9 @@ class PastShow:
         view.background = None if self.background is None else self.background.described()
         self.duration_s = float(recording.summary()["duration_s"])
         every_s = max(1.0, self.duration_s / MOST_FRAMES)
-        self._frames: list[tuple[float, str]] = []
-        self._grids: list[tuple[float, str, str]] = []
+        self.frames: list[tuple[float, str]] = []
+        """(s, text)."""
+        self.grids: list[tuple[float, str, str]] = []
         """(s, name, text)."""
         next_s = 0.0
         for item in _stream(recording):
@@ -43,19 +44,19 @@ class PastShow:
             frame = view.frame()
             if frame["t_s"] >= next_s:
                 next_s = frame["t_s"] + every_s
-                self._frames.append((frame["t_s"], json.dumps(frame)))
-                self._grids += [(frame["t_s"], each["name"], json.dumps(each)) for each in view.grids()]
+                self.frames.append((frame["t_s"], json.dumps(frame)))
+                self.grids += [(frame["t_s"], each["name"], json.dumps(each)) for each in view.grids()]
         last = view.frame()  # what came with the last tick, and after it
-        self._frames.append((last["t_s"], json.dumps(last)))
-        self._grids += [(last["t_s"], each["name"], json.dumps(each)) for each in view.grids()]
+        self.frames.append((last["t_s"], json.dumps(last)))
+        self.grids += [(last["t_s"], each["name"], json.dumps(each)) for each in view.grids()]
         self.view = view
-        self._hello = json.dumps(view.hello() | {"live": False, "duration_s": self.duration_s})
+        self.hello = json.dumps(view.hello() | {"live": False, "duration_s": self.duration_s})
         self._players: dict[Mailbox, asyncio.Task[None]] = {}
         self._at_s: dict[Mailbox, float] = {}
 
     def open(self, mailbox: Mailbox) -> None:
         self._at_s[mailbox] = self.duration_s
-        mailbox.put("hello", self._hello)
+        mailbox.put("hello", self.hello)
 
     def close(self, mailbox: Mailbox) -> None:
         self._stop(mailbox)
@@ -98,19 +99,19 @@ class PastShow:
         }
         mailbox.put("history", json.dumps(history))
         for name in ("belief", "exposure"):
-            texts = [text for at_s, called, text in self._grids if called == name and at_s <= t_s]
+            texts = [text for at_s, called, text in self.grids if called == name and at_s <= t_s]
             if texts:
                 mailbox.put(f"grid {name}", texts[-1])
-        if frames := [text for at_s, text in self._frames if at_s <= t_s] or [t for _, t in self._frames[:1]]:
+        if frames := [text for at_s, text in self.frames if at_s <= t_s] or [t for _, t in self.frames[:1]]:
             mailbox.put("frame", frames[-1])
 
     def _go_on(self, mailbox: Mailbox, t_s: float) -> None:
         """What has come since the time shown."""
         before_s, self._at_s[mailbox] = self._at_s[mailbox], t_s
-        for at_s, name, text in self._grids:
+        for at_s, name, text in self.grids:
             if before_s < at_s <= t_s:
                 mailbox.put(f"grid {name}", text)
-        passed = [text for at_s, text in self._frames if before_s < at_s <= t_s]
+        passed = [text for at_s, text in self.frames if before_s < at_s <= t_s]
         if passed:
             mailbox.put("frame", passed[-1])
         for name, rows in (("detection", self.view.detections), ("note", self.view.notes)):

@@ -1,4 +1,5 @@
 // A tap on the map says where that is, in metres, degrees, UTM and MGRS; a tap on one of these copies it.
+import { model } from "./model.js";
 import { pin, taps } from "./map.js";
 import { STATES, sureness } from "./words.js";
 import { element } from "./dom.js";
@@ -28,6 +29,7 @@ export async function showWhere(east_m, north_m, title = "") {
     const answer = await fetch(`where?east_m=${east_m.toFixed(3)}&north_m=${north_m.toFixed(3)}`);
     if (answer.ok) words = await answer.json();
   } catch { words = null; }
+  if (!words && !model.hello?.live) words = { metres: `${east_m.toFixed(1)} m E, ${north_m.toFixed(1)} m N` };
   if (mine !== asked) return; // another tap has come
   const box = $("where");
   pin.at = [east_m, north_m];

@@ -1,0 +1,114 @@
+"""The page of a recording as one piece of HTML that needs no server: it goes into a report, and works without internet.
+
+The page's own modules are inlined under bare names (an import map of data: URLs); `socket.js`, which asks a server, is
+replaced by one that has the answers. The frames are fewer than a dashboard has: a report is sent by mail.
+"""
+
+import base64
+import html
+import json
+import re
+from typing import Any
+
+from fieldkit.recording.reader import Recording
+from mission.page.past import PastShow
+from mission.page.server import STATIC
+from mission.page.view import KEPT, SERIES_POINTS, TRACK_POINTS
+
+MOST_FRAMES = 150
+MODULE = re.compile(r'(from|import\()\s*"\./([a-z-]+)\.js"')
+"""How the page's modules import each other."""
+NOTHING_STORED = (
+    """Object.defineProperty(window, "sessionStorage", { value: { getItem: () => null, setItem() {} } });"""
+)
+"""A frame of no origin may store nothing, and says so by an error."""
+SOCKET = """
+import { model, receive } from "./model.js";
+const data = JSON.parse(document.getElementById("recorded").textContent);
+let told = () => {};
+let playing = 0;
+const say = (message) => { receive(message); told(message); };
+function seek(t_s) {
+  const early = (rows, key) => rows.filter((row) => row[key] <= t_s);
+  const tracks = Object.fromEntries(Object.entries(data.tracks).map(([name, rows]) => [name, early(rows, 0)]));
+  const [series, detections, notes] = ["series", "detections", "notes"].map((name) => early(data[name], "t_s"));
+  say({ kind: "history", tracks, series, detections, notes });
+  for (const name of ["belief", "exposure"]) {
+    const grid = data.grids.filter((each) => each.name === name && each.t_s <= t_s).at(-1);
+    if (grid) say(grid.grid);
+  }
+  say(data.frames.filter((frame) => frame.t_s <= t_s).at(-1) ?? data.frames[0]);
+}
+export function ask(question) {
+  clearInterval(playing);
+  if (question.kind === "seek") seek(question.t_s);
+  if (question.kind !== "play") return;
+  let t_s = model.frame.t_s >= data.hello.duration_s - 1 ? 0 : model.frame.t_s;
+  playing = setInterval(() => {
+    t_s = Math.min(t_s + 0.2 * question.rate, data.hello.duration_s);
+    seek(t_s);
+    if (t_s >= data.hello.duration_s) clearInterval(playing);
+  }, 200);
+}
+export function command() { return Promise.resolve({ ok: false, text: "a recording takes no commands" }); }
+export function connect(onMessage, onState) {
+  told = onMessage;
+  model.connected = true;
+  say(data.hello);
+  onState();
+}
+"""
+
+
+def embedded(recording: Recording) -> str:
+    """An `<iframe>` with the page of a recording. Raises `RecordingError`."""
+    text = (STATIC / "page.html").read_text(encoding="utf-8")
+    style = (STATIC / "page.css").read_text(encoding="utf-8")
+    modules = {path.stem: path.read_text(encoding="utf-8") for path in STATIC.glob("*.js")}
+    modules = {name: source for name, source in modules.items() if not name.startswith("plan")}
+    modules["socket"] = SOCKET
+    addresses = {f"fieldkit/{name}.js": _address(source) for name, source in modules.items()}
+    # What stands in a script ends where the next "</" stands, whatever the recording's names are.
+    data = json.dumps(_data(recording)).replace("<", "\\u003c")
+    head = (
+        f"<style>{style}</style>"
+        f"<script>{NOTHING_STORED}</script>"
+        f'<script type="importmap">{json.dumps({"imports": addresses})}</script>'
+        f'<script type="application/json" id="recorded">{data}</script>'
+    )
+    text = text.replace('<link rel="stylesheet" href="page.css">', head)
+    text = text.replace('<link rel="icon" href="icon.svg" type="image/svg+xml">', "")
+    start = '<script type="module">import "fieldkit/main.js";</script>'
+    text = text.replace('<script type="module" src="main.js"></script>', "").replace(
+        "</body>", f"{start}</body>"
+    )
+    title = "The mission's page, to move about in"
+    return f'<iframe title="{title}" sandbox="allow-scripts" srcdoc="{html.escape(text)}"></iframe>'
+
+
+def _address(source: str) -> str:
+    bare = MODULE.sub(lambda found: f'{found[1]} "fieldkit/{found[2]}.js"', source)
+    return f"data:text/javascript;base64,{base64.b64encode(bare.encode()).decode()}"
+
+
+def _data(recording: Recording) -> dict[str, Any]:
+    """What a server would have answered."""
+    show = PastShow(recording)
+    view = show.view
+    frames = [json.loads(text) for _, text in show.frames]
+    every = max(1, len(frames) // MOST_FRAMES)
+    grids = [(t_s, name, json.loads(text)) for t_s, name, text in show.grids]
+    kept = {name: [each for each in grids if each[1] == name] for name in ("belief", "exposure")}
+    return {
+        "hello": json.loads(show.hello) | {"background": None},
+        "tracks": {name: track[-TRACK_POINTS:] for name, track in view.tracks.items()},
+        "series": view.series[-SERIES_POINTS:],
+        "detections": list(view.detections)[-KEPT:],
+        "notes": list(view.notes)[-KEPT:],
+        "frames": [*frames[:-1:every], frames[-1]],
+        "grids": [
+            {"t_s": t_s, "name": name, "grid": grid}
+            for rows in kept.values()
+            for t_s, name, grid in [*rows[: -1 : max(1, len(rows) // 20)], *rows[-1:]]
+        ],
+    }

@@ -1,0 +1,53 @@
+"""The report in a browser: the mission's own page stands in it, without a server and without internet."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from fieldkit.cli import build
+from mission.lab.synthetic import record_simulated
+
+
+@pytest.fixture
+def tab(browser: Any, tmp_path: Path) -> Any:
+    recorded = record_simulated(tmp_path, duration_s=150.0, sources_found=9)
+    done = CliRunner().invoke(build(), ["report", str(recorded), "-o", str(tmp_path / "report.html")])
+    assert done.exit_code == 0, done.output
+    context = browser.new_context(viewport={"width": 1300, "height": 900}, offline=True)
+    tab = context.new_page()
+    faults: list[str] = []
+    tab.on("pageerror", lambda error: faults.append(str(error)))
+    tab.goto((tmp_path / "report.html").as_uri())
+    yield tab
+    context.close()
+    assert not faults
+
+
+def test_its_map_moves_and_its_time_goes_back(tab: Any) -> None:
+    tab.locator("iframe").evaluate("(node) => node.scrollIntoView()")  # what is out of sight is not drawn
+    frame = tab.frames[1]
+    frame.wait_for_function("() => window.fieldkit?.grids.belief")
+    assert frame.locator("#state").inner_text() == "recording"
+    frame.wait_for_function("() => Number(document.getElementById('detections').textContent) > 0")
+    whole = int(frame.locator("#detections").inner_text())
+    assert frame.locator("#robots .card").count() == 4
+    frame.evaluate("document.getElementById('zoom-in').click()")
+    frame.evaluate(
+        "() => { const s = document.getElementById('slider'); s.value = 20; s.dispatchEvent(new Event('input')); }"
+    )
+    frame.wait_for_function("() => window.fieldkit.frame.t_s <= 20")
+    frame.wait_for_function(f"() => Number(document.getElementById('detections').textContent) < {whole}")
+    assert frame.evaluate("window.fieldkit.tracks.r1.every((point) => point[0] <= 20)")
+    frame.evaluate("document.getElementById('play').click()")
+    frame.wait_for_function("() => window.fieldkit.frame.t_s > 60")
+
+
+def test_what_it_says_first_is_on_the_first_page(tab: Any) -> None:
+    front = tab.locator(".front")
+    assert "What was found" in front.inner_text() and "What to do next" in front.inner_text()
+    tab.set_viewport_size({"width": 390, "height": 844})
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 390
+    tab.emulate_media(media="print")
+    assert not tab.locator("iframe").is_visible(), "on paper nothing moves"
