@@ -11,7 +11,7 @@ from fieldkit import jumploop
 from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError, DeviceTimeout
 from fieldkit.jumploop import LoopClock
-from fieldkit.messages import GoTo, Hold, Operator, Pose, Tick, Waypoint
+from fieldkit.messages import GoTo, Hold, Operator, Pose, ReceiverState, Tick, Waypoint
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.bodies import Rover
@@ -244,6 +244,36 @@ def test_a_laptop_that_slept_holds_everybody_and_goes_on(tmp_path: Path) -> None
     assert held == set(runner.kernel.settings.engine.robots)
     assert any(isinstance(c, GoTo) and c.t_ns > woke_ns + 3 * 10**9 for c in allowed), "then it goes on"
     assert replay(tmp_path / "mission.mcap").complete
+
+
+def test_after_a_sleep_radios_say_that_nobody_read_them_before_that_silence_is_thought_about(
+    tmp_path: Path,
+) -> None:
+    """A reader thread looks ten times a second: it notices within 0.1 s of waking."""
+
+    async def sleep(runner: Runner, setup: Setup) -> None:
+        clock = setup.clock
+        await clock.sleep(10.0)
+        before_ns = clock.now_ns()
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, jumploop.JumpLoop)
+        loop._jumping.now_s += 60.0
+        await clock.sleep(0.1)
+        for receiver in setup.receivers:
+            assert isinstance(receiver, FakeReceiver)
+            receiver._stream.put(ReceiverState(before_ns, receiver.robot, False, "nobody read it"))
+            receiver.set_up(True, "it is read again")
+
+    fly(tmp_path, act=sleep, duration_s=100.0)
+    ticks: list[tuple[int, int]] = []
+    said: list[int] = []
+    for number, _, event in open_recording(tmp_path / "mission.mcap").events():
+        if isinstance(event, Tick):
+            ticks.append((number, event.t_ns))
+        if isinstance(event, ReceiverState) and event.reason:
+            said.append(number)
+    woke = next(number for (_, before_ns), (number, t_ns) in pairwise(ticks) if t_ns - before_ns > 30 * 10**9)
+    assert said and max(said) < woke
 
 
 def test_a_full_disk_is_an_alarm_for_as_long_as_it_lasts_and_what_was_found_is_kept(tmp_path: Path) -> None:
