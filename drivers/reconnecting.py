@@ -150,7 +150,7 @@ class ReconnectingReceiver(ABC):
 
     def _was_away(self, away_s: float) -> None:
         """Nobody has read for so long, in wall time: the silence of that time means nothing."""
-        words = f"nobody read it for {away_s:.1f} s: this computer slept, or was stopped"
+        words = f"nobody read it for {away_s:.1f} s: this computer slept, was stopped, or too busy"
         logger.warning("%s: %s", self._name, words)
         now_ns, rate = self._clock.now_ns(), self._clock.rate
         since_ns = now_ns - round(away_s * rate * 1e9) if math.isfinite(rate) else now_ns
