@@ -19,8 +19,8 @@ from mission.page.server import Page
 from mission.page.view import View
 
 S = 1_000_000_000
-HOURS_S = 3600 * int(os.environ.get("FIELDKIT_HOURS", "4"))
-"""Hours of a mission; more with FIELDKIT_HOURS=8, which takes minutes."""
+HOURS_S = 3600 * int(os.environ.get("FIELDKIT_HOURS", "2"))
+"""Hours of a mission; FIELDKIT_HOURS=8 takes minutes."""
 LAST_MINUTE = HOURS_S // 60
 BATCH_S = 60
 

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import pytest
 from flying import Flown, looking
 
 SIZES = [(1440, 900), (1024, 768), (800, 600), (390, 844)]
@@ -51,13 +50,14 @@ ODD = [
 ]
 
 
-@pytest.mark.parametrize(("width", "height"), SIZES)
-def test_nothing_overlaps(browser: Any, flown: Flown, width: int, height: int) -> None:
-    with looking(browser, flown.page.command_address, viewport={"width": width, "height": height}) as tab:
-        tab.wait_for_selector("#robots .card")
-        tab.wait_for_function("() => window.fieldkit.grids.belief")
-        tab.wait_for_timeout(200)
-        assert not tab.evaluate(OVERLAPS, APART)
+def test_nothing_overlaps(browser: Any, flown: Flown) -> None:
+    for width, height in SIZES:
+        viewport = {"width": width, "height": height}
+        with looking(browser, flown.page.command_address, viewport=viewport) as tab:
+            tab.wait_for_selector("#robots .card")
+            tab.wait_for_function("() => window.fieldkit.grids.belief")
+            tab.wait_for_timeout(200)
+            assert not tab.evaluate(OVERLAPS, APART), viewport
 
 
 def test_what_lies_over_something_is_noticed(browser: Any, flown: Flown) -> None:
@@ -67,10 +67,12 @@ def test_what_lies_over_something_is_noticed(browser: Any, flown: Flown) -> None
         assert tab.evaluate(OVERLAPS, APART)
 
 
-@pytest.mark.parametrize(("width", "height"), SIZES)
-def test_64_oddly_named_robots_and_200_candidates_fit(
-    browser: Any, flown: Flown, width: int, height: int
-) -> None:
+def test_64_oddly_named_robots_and_200_candidates_fit(browser: Any, flown: Flown) -> None:
+    for width, height in SIZES:
+        crowd(browser, flown, width, height)
+
+
+def crowd(browser: Any, flown: Flown, width: int, height: int) -> None:
     with looking(browser, flown.page.address, viewport={"width": width, "height": height}) as tab:
         tab.wait_for_selector("#robots .card")
         tab.evaluate(CROWD, [ODD[k % len(ODD)] + f" {k}" for k in range(64)])
