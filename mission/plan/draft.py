@@ -1,6 +1,6 @@
 """A mission file as a form, and back: comments, order and whatever the form does not know stay as they are. Pure."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import tomlkit
@@ -72,17 +72,6 @@ def with_form(text: str, form: Mapping[str, Any]) -> str:
     if teams != before["teams"]:
         _put_teams(document, teams)
     return tomlkit.dumps(document)
-
-
-def paired(names: Sequence[str], teams: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Teams for these robots: as they were where both are still there, the rest in their order two by two."""
-    kept = [[name for name in team if name in names] for team in teams]
-    kept = [team for team in kept if team]
-    rest = [name for name in names if not any(name in team for team in kept)]
-    for team in kept:
-        if len(team) == 1 and rest:
-            team.append(rest.pop(0))
-    return kept + [rest[k : k + 2] for k in range(0, len(rest), 2)]
 
 
 def _parsed(text: str) -> TOMLDocument:

@@ -182,3 +182,10 @@ def test_a_file_changed_by_hand_meanwhile_is_not_overwritten(browser: Any, folde
         tab.click("#store")
         tab.wait_for_selector("#notice >> text=changed by somebody else")
     assert path.read_text().endswith("# by hand\n")
+
+
+def test_teams_that_there_are_stay_together(tab: Any) -> None:
+    teams = tab.evaluate(
+        "import('./plan-robots.js').then((m) => m.paired(['a', 'b', 'c', 'd', 'e'], [['d', 'a'], ['x']]))"
+    )
+    assert teams == [["d", "a"], ["b", "c"], ["e"]]

@@ -18,7 +18,7 @@ from mission.core.template import mission_text
 from mission.lab.synthetic import small_mission
 from mission.page.server import Page
 from mission.plan.desk import Desk
-from mission.plan.draft import form_of, paired, with_form
+from mission.plan.draft import form_of, with_form
 from mission.plan.judge import judge
 from mission.plan.serve import plan
 
@@ -72,17 +72,13 @@ def test_any_form_comes_back_as_it_went(names: list[str], size_m: float, port: s
     form["field"]["size_north_m"] = size_m
     receiver = {"driver": "xbee"} | ({"port": port} if port else {})
     form["robots"] = [ROBOT | {"name": name, "receiver": receiver} for name in names]
-    form["teams"] = paired(names, [])
+    form["teams"] = [names[k : k + 2] for k in range(0, len(names), 2)]
     assert form_of(with_form(TEXT, form)) == form
 
 
 @pytest.mark.parametrize("form", [{"field": 3, "robots": "x"}, {"robots": [1, None]}, {"teams": 4}, {}])
 def test_a_form_of_another_kind_breaks_nothing(form: dict[str, Any]) -> None:
     assert tomllib.loads(with_form(TEXT, form))["field"] == tomllib.loads(TEXT)["field"]
-
-
-def test_teams_that_there_are_stay_together() -> None:
-    assert paired(["a", "b", "c", "d", "e"], [["d", "a"], ["x"]]) == [["d", "a"], ["b", "c"], ["e"]]
 
 
 def test_remarks_name_the_key_and_are_those_of_check(tmp_path: Path) -> None:
