@@ -242,6 +242,8 @@ class Page:
             self.loop = asyncio.get_running_loop()
             self._ready.set()
             await self._server.serve(sockets=[self._socket])
+            if tasks := self._server.server_state.tasks:  # told that it ends, they need a moment to do so
+                await asyncio.wait(tasks, timeout=ENDING_S)
 
         try:
             asyncio.run(serve())

@@ -68,6 +68,7 @@ class Dispatcher:
         self._failures: dict[str, str] = {}
         """Robot to why its last order failed: said once, not as often as it is repeated."""
         self._no_patience = asyncio.Event()
+        self._is_closed = False
         self.answers: dict[str, tuple[str, str]] = {}
         """Robot to its last order and how that went: "..." under way, "done", or why not."""
 
@@ -85,6 +86,9 @@ class Dispatcher:
                 return
             self._stop_at_once(robot)
         elif self._frozen[robot] and order != RELEASE:
+            return
+        if self._is_closed:  # nobody is left who would carry it out: of a stop one frame has left
+            self.answers[robot] = (type(order).__name__, "the mission is over")
             return
         if current is not None and under_way:
             current.task.cancel()
@@ -186,7 +190,8 @@ class Dispatcher:
         self._no_patience.set()
 
     async def close(self) -> None:
-        """Give up what is still under way."""
+        """Give up what is still under way; of later orders only the first frame of a stop leaves."""
+        self._is_closed = True
         tasks = [current.task for current in self._current.values() if not current.task.done()]
         for task in tasks:
             task.cancel()

@@ -263,3 +263,14 @@ async def test_a_drivers_mistake_neither_confirms_a_stop_nor_keeps_others_from_t
     assert bench.vehicles.asked.count(("a", "hold")) == 3
     assert any("not a number" in note for note in bench.notes)
     await bench.dispatcher.close()
+
+
+async def test_after_the_end_of_a_stop_one_frame_leaves_and_no_task_is_left() -> None:
+    bench = Bench("a")
+    await bench.dispatcher.close()
+    before = asyncio.all_tasks()
+    bench.hold("a")
+    bench.goto("a")
+    assert asyncio.all_tasks() == before
+    assert bench.vehicles.asked == [("a", "stop")]
+    assert bench.dispatcher.answers["a"] == ("GoTo", "the mission is over")
