@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.patheffects import withStroke
+from matplotlib.transforms import Affine2D
 
 from fieldkit.messages import SourceEstimate
 from fieldkit.settings import ELLIPSE_90
@@ -17,6 +18,7 @@ from mission.analysis.coverage import SEARCHED, Coverage
 from mission.analysis.history import History
 from mission.analysis.refine import Fit, Refined
 from mission.analysis.use import Stretch, kind
+from mission.maps.background import Background, background_or_none
 
 ROBOT_COLOURS = ("#56b4e9", "#e69f00", "#cc79a7", "#0fb68a", "#f0e442", "#d55e00", "#8c7ae6", "#4a90d9")
 """Those of the live page (after Okabe and Ito): a robot is the same colour on both."""
@@ -24,6 +26,8 @@ FOUND, CANDIDATE, INCONSISTENT, TRUTH = "#0a7a4b", "#a65a00", "#5f6b76", "#00000
 """As on the live page by day."""
 
 
+SEEN_THROUGH = 0.8
+"""How opaque a sure cell is over a picture of the ground."""
 BEYOND = 0.03
 """Share of the field that its map shows beyond each border."""
 
@@ -43,13 +47,18 @@ def _subplots(*, figsize: tuple[float, float]) -> tuple[Figure, Axes]:
 
 
 def field_map(history: History) -> Figure:
-    """Belief, tracks, sources with their 90 % ellipse, and the truth where it is known."""
+    """Belief, tracks, sources with their 90 % ellipse, and the truth where known; over a picture of the ground."""
     field = history.mission.file.field
     figure, axes = _subplots(figsize=(7.2, 6.4))
+    background = background_or_none(history.mission)
+    if background is not None:
+        draw_ground(axes, background)
     if history.belief is not None:
         # Cells that are likely differ by orders of magnitude from those that are merely unsearched.
+        logs = np.log10(np.maximum(history.belief.values, 1e-5))
         shown = axes.imshow(
-            np.log10(np.maximum(history.belief.values, 1e-5)), origin="lower", cmap="Greys", vmin=-5, vmax=0,
+            logs, origin="lower", cmap="Greys" if background is None else "YlOrRd", vmin=-5, vmax=0,
+            alpha=None if background is None else SEEN_THROUGH * (logs + 5.0) / 5.0,
             extent=(0, field.size_east_m, 0, field.size_north_m), aspect="equal", interpolation="nearest",
         )  # fmt: skip
         bar = figure.colorbar(shown, ax=axes, shrink=0.8, label="probability that the cell holds a source")
@@ -76,6 +85,26 @@ def field_map(history: History) -> Figure:
     axes.set(xlabel="east, m", ylabel="north, m")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncol=5, frameon=False, fontsize=8)
     return figure
+
+
+def draw_ground(axes: Axes, background: Background) -> None:
+    """The pictures of the ground, each by its affine map from pixels to metres."""
+    from PIL import Image
+
+    for picture in background.smaller():
+        with Image.open(io.BytesIO(picture.data)) as image:
+            pixels = np.asarray(image.convert("RGB"))
+        height, width = pixels.shape[:2]
+        nw, ne, sw = (np.array(corner) for corner in picture.corners_m)
+        right, down = (ne - nw) / width, (sw - nw) / height
+        matrix = np.array([[right[0], down[0], nw[0]], [right[1], down[1], nw[1]], [0.0, 0.0, 1.0]])
+        shown = axes.imshow(pixels, extent=(0, width, height, 0), aspect="equal", zorder=-1)
+        shown.set_transform(Affine2D(matrix) + axes.transData)
+    if background.credit:
+        axes.annotate(
+            background.credit, (1, 0), xycoords="axes fraction", ha="right", va="bottom", fontsize=6, color=TRUTH,
+            path_effects=[withStroke(linewidth=2, foreground="white")],
+        )  # fmt: skip
 
 
 def _draw_source(axes: Axes, source: SourceEstimate) -> None:

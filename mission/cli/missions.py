@@ -315,7 +315,7 @@ def check(
     """
     from mission.core.advice import advise
     from mission.core.mission_file import read_mission
-    from mission.page.background import read_background
+    from mission.maps.background import read_background
     from mission.shell import setups
 
     mission = read_mission(mission_file)

@@ -108,7 +108,7 @@ def _mission(
     """The mission of a file, or of what the options say. Raises `ConfigError`, `DeviceError`."""
     from fieldkit.errors import ConfigError
     from mission.core.mission_file import read_mission
-    from mission.page.background import read_background
+    from mission.maps.background import read_background
 
     if mission_file is None:
         missing = [name for name, value in given.items() if not value]

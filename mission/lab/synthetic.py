@@ -81,7 +81,11 @@ def record_simulated(
         engine=engine,
         antenna=antenna,
     )
+    return record(mission, folder / "mission.mcap", seed)
+
+
+def record(mission: Mission, path: Path, seed: int) -> Path:
+    """The same of a mission that is made already; `path`."""
     truth = Truth(radio_of(mission), hidden_sources(seed), tuple(start_places(mission).values()))
-    path = folder / "mission.mcap"
     fly_simulated(mission, truth, seed, path, {"mission": "synthetic", "seed": seed})
     return path

@@ -1,1 +1,1 @@
-"""What other people's maps get of a mission: GeoJSON, KML and Cursor on Target, while it goes on."""
+"""Other maps: what people's own get of a mission (GeoJSON, KML, Cursor on Target), and the ground under ours."""

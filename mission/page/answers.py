@@ -23,9 +23,9 @@ from fieldkit.coordinates import coordinates
 from fieldkit.geo import FieldFrame
 from fieldkit.recording.shapes import plain
 from mission.maps import kml
+from mission.maps.background import Background
 from mission.maps.geojson import collection
 from mission.maps.present import Present
-from mission.page.background import Background
 
 EVERY_S = 1.0
 """Between lines of the stream; none is sent while nothing has changed."""

@@ -100,7 +100,7 @@ def _data(recording: Recording) -> dict[str, Any]:
     grids = [(t_s, name, json.loads(text)) for t_s, name, text in show.grids]
     kept = {name: [each for each in grids if each[1] == name] for name in ("belief", "exposure")}
     return {
-        "hello": json.loads(show.hello) | {"background": None},
+        "hello": json.loads(show.hello) | {"background": show.background and show.background.inlined()},
         "tracks": {name: track[-TRACK_POINTS:] for name, track in view.tracks.items()},
         "series": view.series[-SERIES_POINTS:],
         "detections": list(view.detections)[-KEPT:],

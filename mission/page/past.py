@@ -10,7 +10,7 @@ from typing import Any
 from fieldkit.clock import RealClock
 from fieldkit.messages import Tick
 from fieldkit.recording.reader import Recording
-from mission.page.background import background_or_none
+from mission.maps.background import background_or_none
 from mission.page.server import Mailbox
 from mission.page.view import KEPT, SERIES_POINTS, TRACK_POINTS, View, number_or
 from mission.replay.replay import recorded_mission

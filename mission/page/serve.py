@@ -9,8 +9,8 @@ from fieldkit import settings as given
 from fieldkit.messages import Operator
 from fieldkit.recording.reader import Recording
 from mission.core.mission_file import Mission
+from mission.maps.background import background_or_none
 from mission.page.answers import Answers
-from mission.page.background import background_or_none
 from mission.page.disk import DiskWords
 from mission.page.live import LiveShow
 from mission.page.past import PastShow

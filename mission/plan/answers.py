@@ -3,6 +3,7 @@
     GET  /plan/state       the draft, what is wrong with it, what there is to choose from
     POST /plan/change      {form}: the draft with these values
     POST /plan/store       write the file
+    GET  /plan/ground      the pictures under the map, and where they lie; /plan/ground/NAME is one of them
     GET  /plan/ports       what is plugged in; nothing is opened
     GET  /plan/heard       ?address=..: vehicles heard on a link; nothing is sent
     POST /plan/preflight   the checks before the start, of the file as stored
@@ -22,6 +23,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from fieldkit.errors import FieldkitError
+from mission.maps.background import Picture
 from mission.plan.desk import Desk
 
 Answer = Callable[[Request], Awaitable[Response]]
@@ -36,11 +38,14 @@ class PlanAnswers:
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         self.token = ""
+        self._pictures: dict[str, Picture] = {}
 
     def routes(self) -> Mapping[str, Answer]:
         """Path to what answers there, asked by GET."""
         return {
             "/plan/state": self._guarded(self._state),
+            "/plan/ground": self._guarded(self._ground),
+            "/plan/ground/{name}": self._guarded(self._picture),
             "/plan/ports": self._guarded(self._ports),
             "/plan/heard": self._guarded(self._heard),
         }
@@ -87,6 +92,17 @@ class PlanAnswers:
     async def _store(self, request: Request) -> Response:
         self._desk.store()
         return self._now()
+
+    async def _ground(self, request: Request) -> Response:
+        background = await asyncio.to_thread(self._desk.background)
+        self._pictures = {each.name: each for each in background.pictures} if background else {}
+        return JSONResponse(background.described("plan/ground") if background else {"pictures": []})
+
+    async def _picture(self, request: Request) -> Response:
+        picture = self._pictures.get(request.path_params["name"])
+        if picture is None:
+            return _refused("there is no such picture", 404)
+        return Response(picture.data, media_type=picture.media_type)
 
     async def _ports(self, request: Request) -> Response:
         return await _asked("devices", "--json")

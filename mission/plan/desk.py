@@ -1,5 +1,6 @@
 """The draft on the desk of the editor: held in memory, judged as it changes, written when it is asked for."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -8,12 +9,17 @@ from typing import Any
 from fieldkit import plugins
 from fieldkit.errors import ConfigError
 from fieldkit.files import write_whole
+from fieldkit.geo import FieldFrame
 from mission.core.template import mission_text
-from mission.plan.draft import form_of, with_form
+from mission.maps.background import Background, Ground, background_of
+from mission.plan.draft import form_of, plain_field, with_form
 from mission.plan.judge import judge
 
 PICTURES = (".mbtiles", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 MOST_FILES = 200
+MOST_LAT_DEG = 85.0
+"""Web maps end there."""
+LARGEST_M = 1e6
 
 
 class Desk:
@@ -48,6 +54,33 @@ class Desk:
     def change(self, form: Mapping[str, Any]) -> None:
         """Take in what the form says now. Raises `ConfigError`."""
         self.text = with_form(self.text, form)
+
+    def background(self) -> Background | None:
+        """What the picture named in the draft has of its field; None where none is named. Raises `ConfigError`."""
+        field = plain_field(self.text)
+        name = field.get("background")
+        if not name:
+            return None
+        numbers = [
+            field.get(key) for key in ("origin_lat_deg", "origin_lon_deg", "size_east_m", "size_north_m")
+        ]
+        lat_deg, lon_deg, east_m, north_m = (
+            float(each) if isinstance(each, int | float) else math.nan for each in numbers
+        )
+        if not (
+            abs(lat_deg) <= MOST_LAT_DEG
+            and abs(lon_deg) <= 180.0
+            and 0 < east_m < LARGEST_M
+            and 0 < north_m < LARGEST_M
+        ):
+            raise ConfigError(
+                "field.background: where the field is must be known first: its corner and its size"
+            )
+        return background_of(
+            Ground(FieldFrame(lat_deg, lon_deg), east_m, north_m),
+            self.path.parent / str(name),
+            str(field.get("background_crs") or ""),
+        )
 
     def store(self) -> None:
         """Write the file, whole or not at all.

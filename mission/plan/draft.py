@@ -52,6 +52,11 @@ def form_of(text: str) -> dict[str, Any]:
     return shown
 
 
+def plain_field(text: str) -> Mapping[str, Any]:
+    """The file's `[field]`, of whatever kinds its values are. Raises `ConfigError` where the text is no TOML."""
+    return _table(_parsed(text).unwrap().get("field"))
+
+
 def with_form(text: str, form: Mapping[str, Any]) -> str:
     """The text with the form's values. What the form says as before is not touched.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from fieldkit.errors import FieldkitError
 from mission.core.advice import advise
 from mission.core.mission_file import mission_of
-from mission.page.background import read_background
+from mission.maps.background import read_background
 from mission.shell import setups
 
 OF_ROBOT = re.compile(r"(receiver|vehicle) of (.+?) \([^()]*\): (.*)")

@@ -16,9 +16,9 @@ from fieldkit.errors import ConfigError
 from mission.core.mission_file import Mission, parse_mission
 from mission.core.walk_text import WalkOptions, walk_text
 from mission.lab.study.walk import walk_mission
-from mission.page import background as module
-from mission.page.background import Background, background_or_none, read_background
-from mission.page.georeference import to_degrees
+from mission.maps import background as module
+from mission.maps.background import Background, background_or_none, read_background
+from mission.maps.georeference import to_degrees
 
 SIDE_M = 300.0
 

@@ -1,6 +1,6 @@
 // The field in metres, north up: belief or what was searched, tracks, plans, sources with their 90 % region, robots.
 import { colourOf, model, shownFrame, shownGrid } from "./model.js";
-import { frameView, looking, X, Y, toMetres, toPixels } from "./mapview.js";
+import { drawPicture, frameView, looking, X, Y, toMetres, toPixels } from "./mapview.js";
 import { setUpGestures } from "./gestures.js";
 import { grouped, Places } from "./labels.js";
 import { measure, said } from "./measure.js";
@@ -104,7 +104,7 @@ function halo(text, x, y, colour, font = "600 12px system-ui") {
 // Pictures of the ground, each by three of its corners.
 const pictures = new Map();
 function drawBackground() {
-  for (const { url, corners_m: [nw, ne, sw] } of model.hello.background?.pictures ?? []) {
+  for (const { url, corners_m } of model.hello.background?.pictures ?? []) {
     let image = pictures.get(url);
     if (!image) {
       image = new Image();
@@ -112,14 +112,7 @@ function drawBackground() {
       image.src = url;
       pictures.set(url, image);
     }
-    if (!image.complete || !image.naturalWidth) continue;
-    const [width, height] = [image.naturalWidth, image.naturalHeight];
-    const [x, y] = [X(nw[0]), Y(nw[1])];
-    pen.save();
-    pen.imageSmoothingEnabled = true;
-    pen.transform((X(ne[0]) - x) / width, (Y(ne[1]) - y) / width, (X(sw[0]) - x) / height, (Y(sw[1]) - y) / height, x, y);
-    pen.drawImage(image, 0, 0, width + 0.5, height + 0.5); // a little over the seam to the next tile
-    pen.restore();
+    if (image.complete && image.naturalWidth) drawPicture(pen, image, image.naturalWidth, image.naturalHeight, corners_m);
   }
 }
 

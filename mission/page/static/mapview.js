@@ -72,3 +72,13 @@ export function follow(name) {
   if (camera.following && camera.zoom < 2) camera.zoom = 2;
   camera.version += 1;
 }
+
+// A picture of the ground, placed by three of its corners: one affine map.
+export function drawPicture(pen, image, width, height, [nw, ne, sw]) {
+  const [x, y] = toPixels(nw);
+  pen.save();
+  pen.imageSmoothingEnabled = true;
+  pen.transform((X(ne[0]) - x) / width, (Y(ne[1]) - y) / width, (X(sw[0]) - x) / height, (Y(sw[1]) - y) / height, x, y);
+  pen.drawImage(image, 0, 0, width + 0.5, height + 0.5); // a little over the seam to the next tile
+  pen.restore();
+}

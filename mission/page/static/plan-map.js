@@ -1,5 +1,5 @@
 // The field that is being planned: its border, fence and closed areas, drawn by taps and moved by their corners.
-import { frameView, showWhole, toMetres, X, Y, zoomBy } from "./mapview.js";
+import { drawPicture, frameView, showWhole, toMetres, X, Y, zoomBy } from "./mapview.js";
 import { setUpGestures } from "./gestures.js";
 
 const canvas = document.getElementById("map");
@@ -8,6 +8,7 @@ const GRAB_PX = 16;
 export const drawing = { kind: "", corners: [] };
 let pointer = null;
 let shape = { east_m: 25, north_m: 25, fence: null, keep_out: [] };
+let ground = { pictures: [], credit: "" };
 let onMoved = () => {};
 
 const ink = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
@@ -37,6 +38,8 @@ export function draw() {
   const border = [[0, 0], [shape.east_m, 0], [shape.east_m, shape.north_m], [0, shape.north_m]];
   path(border, true);
   pen.fillStyle = ink("panel"); pen.fill();
+  for (const { image, corners_m } of ground.pictures) drawPicture(pen, image, image.width, image.height, corners_m);
+  path(border, true);
   pen.strokeStyle = ink("dim"); pen.lineWidth = 1.5; pen.stroke();
   pen.fillStyle = ink("dim"); pen.font = "12px system-ui"; pen.textAlign = "center"; pen.textBaseline = "top";
   pen.fillText(`${shape.east_m} m`, X(shape.east_m / 2), Y(0) + 8);
@@ -48,6 +51,12 @@ export function draw() {
     const points = pointer ? [...drawing.corners, pointer] : drawing.corners;
     polygon(points, ink(drawing.kind === "fence" ? "accent" : "bad"));
   }
+}
+
+export function showGround(pictures, credit) {
+  ground = { pictures, credit };
+  document.getElementById("credit").textContent = credit;
+  draw();
 }
 
 export function showShape(given) { shape = given; draw(); }

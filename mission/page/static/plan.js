@@ -1,6 +1,6 @@
 // The mission editor: a form and a map over one draft, which the server holds, judges and writes.
 import { element } from "./dom.js";
-import { drawing, setUpMap, showShape } from "./plan-map.js";
+import { drawing, setUpMap, showGround, showShape } from "./plan-map.js";
 import { fillRobots, newRobot, paired, setChoices, setPorts } from "./plan-robots.js";
 
 const $ = (id) => document.getElementById(id);
@@ -25,6 +25,21 @@ async function ask(path, body) {
   return plain.error ? null : plain;
 }
 
+// The pictures under the map, anew where what they depend on has changed. They need the token: an <img> has none.
+let ground = "";
+async function fillGround() {
+  const key = JSON.stringify(["background", "origin_lat_deg", "origin_lon_deg", "size_east_m", "size_north_m"].map((name) => form.field[name]));
+  if (key === ground) return;
+  ground = key;
+  const headers = { authorization: `Bearer ${token}` };
+  const found = form.field.background ? await fetch("plan/ground", { headers }).then((answer) => answer.json()).catch(() => null) : { pictures: [] };
+  if (key !== ground || !found) return;
+  if (found.error) notice(found.error);
+  const drawn = (found.pictures ?? []).map(async ({ url, corners_m }) => ({ corners_m, image: await createImageBitmap(await (await fetch(url, { headers })).blob()) }));
+  const pictures = (await Promise.allSettled(drawn)).filter((each) => each.status === "fulfilled").map((each) => each.value);
+  if (key === ground) showGround(pictures, found.credit ?? "");
+}
+
 const holder = (key) => { const [table, name] = key.split("."); return [form[table], name]; };
 
 function fill() {
@@ -40,6 +55,7 @@ function fill() {
   $("no-antenna").hidden = now.choices.antennas.length > 0;
   fillRobots($("robots"), form.robots, robotsChanged);
   showShape({ east_m: form.field.size_east_m, north_m: form.field.size_north_m, fence: form.field.fence, keep_out: form.field.keep_out ?? [] });
+  fillGround();
   $("path").textContent = now.path.split(/[\\/]/).at(-1);
   $("path").title = now.path;
   $("stored").textContent = now.new ? "not stored yet" : now.stored ? "stored" : "changed";

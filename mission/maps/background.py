@@ -4,21 +4,23 @@ Each picture is placed by three of its corners in the field's frame, so that the
 a field of some kilometres the projections bend by less than a pixel.
 """
 
+import base64
 import html
 import io
 import logging
 import math
 import re
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from fieldkit.errors import ConfigError
+from fieldkit.geo import FieldFrame
 from mission.core.mission_file import Mission
-from mission.page.georeference import Corners, pixel_map, to_degrees
+from mission.maps.georeference import Corners, pixel_map, to_degrees
 
 logger = logging.getLogger(__name__)
 
@@ -29,6 +31,8 @@ MOST_TILES = 64
 TILE_KINDS = {b"\x89PNG": "image/png", b"\xff\xd8": "image/jpeg", b"RIFF": "image/webp"}
 LARGEST_PX = 3000
 """Side of a picture that is sent."""
+INLINE_PX, TILE_PX = 1400, 256
+"""Side of a picture, and of one of many, that goes into a report: reports are sent by mail."""
 OVERVIEW_M = 25.0
 """A whole tile file of which a pixel is more than this is no map of a field."""
 
@@ -53,31 +57,60 @@ class Background:
     covered: float
     """Share of the field that has a picture."""
 
-    def described(self) -> dict[str, Any]:
-        """As the page is sent it."""
+    def described(self, folder: str = "background") -> dict[str, Any]:
+        """As the page is sent it; it fetches the pictures from `folder`."""
+        return self._described(f"{folder}/{each.name}" for each in self.pictures)
+
+    def smaller(self) -> Iterator[Picture]:
+        """As they go into a report."""
+        for each in self.pictures:
+            data, media_type = _smaller(each, INLINE_PX if len(self.pictures) == 1 else TILE_PX)
+            yield replace(each, data=data, media_type=media_type)
+
+    def inlined(self) -> dict[str, Any]:
+        """As the page is given it where it has no server: with the pictures in it."""
+        return self._described(
+            f"data:{each.media_type};base64,{base64.b64encode(each.data).decode()}" for each in self.smaller()
+        )
+
+    def _described(self, urls: Iterable[str]) -> dict[str, Any]:
         return {
             "credit": self.credit,
             "pictures": [
-                {"url": f"background/{each.name}", "corners_m": [list(corner) for corner in each.corners_m]}
-                for each in self.pictures
+                {"url": url, "corners_m": [list(corner) for corner in each.corners_m]}
+                for url, each in zip(urls, self.pictures, strict=True)
             ],
         }
 
 
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """A field on Earth."""
+
+    frame: FieldFrame
+    size_east_m: float
+    size_north_m: float
+
+
 def read_background(mission: Mission) -> Background | None:
     """The background the mission file names, relative to itself; None where it names none. Raises `ConfigError`."""
-    name = mission.file.field.background
-    if not name:
+    field = mission.file.field
+    if not field.background:
         return None
-    path = Path(mission.where).parent / name
+    ground = Ground(mission.frame, field.size_east_m, field.size_north_m)
+    return background_of(ground, Path(mission.where).parent / field.background, field.background_crs)
+
+
+def background_of(ground: Ground, path: Path, crs: str = "") -> Background:
+    """What a file has of the ground of a field; `crs` as `background_crs` names it. Raises `ConfigError`."""
     where = f"field.background: {path}"
     if not path.is_file():
         raise ConfigError(f"{where}: no such file")
     ending = path.suffix.lower()
     if ending == ".mbtiles":
-        return _tiles(path, where, mission)
+        return _tiles(path, where, ground)
     if ending in PICTURES:
-        return _picture(path, where, mission)
+        return _picture(path, where, ground, crs)
     raise ConfigError(f"{where}: expected .mbtiles or a picture ({', '.join(PICTURES)}), got '{ending}'")
 
 
@@ -93,7 +126,7 @@ def background_or_none(mission: Mission) -> Background | None:
 # -- MBTiles 1.3: SQLite with tables tiles and metadata; rows count from the south (TMS) ------------------------
 
 
-def _tiles(path: Path, where: str, mission: Mission) -> Background:
+def _tiles(path: Path, where: str, ground: Ground) -> Background:
     try:
         with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as file:
             about = dict(file.execute("select name, value from metadata"))
@@ -103,20 +136,18 @@ def _tiles(path: Path, where: str, mission: Mission) -> Background:
                     f"{where}: its tiles are vectors; pictures are drawn (png, jpg, webp): export raster tiles"
                 )
             for zoom in zooms:
-                found = _at_zoom(file, zoom, mission)
+                found = _at_zoom(file, zoom, ground)
                 if found is not None:
                     pictures, covered = found
                     return Background(pictures, _plain(str(about.get("attribution") or "")), covered)
     except sqlite3.Error as error:
         raise ConfigError(f"{where}: not an MBTiles file: {error}") from error
-    raise ConfigError(f"{where}: {_elsewhere(about, zooms, mission)}")
+    raise ConfigError(f"{where}: {_elsewhere(about, zooms, ground)}")
 
 
-def _at_zoom(
-    file: sqlite3.Connection, zoom: int, mission: Mission
-) -> tuple[tuple[Picture, ...], float] | None:
+def _at_zoom(file: sqlite3.Connection, zoom: int, ground: Ground) -> tuple[tuple[Picture, ...], float] | None:
     """The tiles over the field at one zoom, and the share of the field they cover; None: none, or too many."""
-    west, south, east, north = _bounds_deg(mission)
+    west, south, east, north = _bounds_deg(ground)
     pixel_m = 40_075_016.7 * math.cos(math.radians(south)) / 2**zoom / 256
     columns = range(math.floor(_column(west, zoom)), math.floor(_column(east, zoom)) + 1)
     rows = range(math.floor(_row(north, zoom)), math.floor(_row(south, zoom)) + 1)
@@ -129,11 +160,11 @@ def _at_zoom(
             if data is not None:
                 media_type = next((kind for head, kind in TILE_KINDS.items() if data.startswith(head)), "")
                 if media_type:
-                    corners = _tile_corners(zoom, column, row, mission)
+                    corners = _tile_corners(zoom, column, row, ground)
                     pictures.append(Picture(f"{zoom}-{column}-{row}", media_type, data, corners))
     if not pictures:
         return None
-    return tuple(pictures), _covered([picture.corners_m for picture in pictures], mission)
+    return tuple(pictures), _covered([picture.corners_m for picture in pictures], ground)
 
 
 def _plain(text: str) -> str:
@@ -158,26 +189,25 @@ def _row(lat_deg: float, zoom: int) -> float:
     return float((1.0 - math.asinh(math.tan(math.radians(lat_deg))) / math.pi) / 2.0 * 2**zoom)
 
 
-def _tile_corners(zoom: int, column: int, row: int, mission: Mission) -> Corners:
+def _tile_corners(zoom: int, column: int, row: int, ground: Ground) -> Corners:
     def place(x: int, y: int) -> tuple[float, float]:
         lat_deg = math.degrees(math.atan(math.sinh(math.pi * (1.0 - 2.0 * y / 2**zoom))))
-        return mission.frame.to_local(lat_deg, x / 2**zoom * 360.0 - 180.0)[:2]
+        return ground.frame.to_local(lat_deg, x / 2**zoom * 360.0 - 180.0)[:2]
 
     return place(column, row), place(column + 1, row), place(column, row + 1)
 
 
-def _bounds_deg(mission: Mission) -> tuple[float, float, float, float]:
+def _bounds_deg(ground: Ground) -> tuple[float, float, float, float]:
     """West, south, east, north of the field and what is shown round it."""
-    field, frame = mission.file.field, mission.frame
-    east_m, north_m = MARGIN * field.size_east_m, MARGIN * field.size_north_m
-    low = frame.to_geodetic(-east_m, -north_m)
-    high = frame.to_geodetic(field.size_east_m + east_m, field.size_north_m + north_m)
+    east_m, north_m = MARGIN * ground.size_east_m, MARGIN * ground.size_north_m
+    low = ground.frame.to_geodetic(-east_m, -north_m)
+    high = ground.frame.to_geodetic(ground.size_east_m + east_m, ground.size_north_m + north_m)
     return low[1], low[0], high[1], high[0]
 
 
-def _elsewhere(about: dict[str, str], zooms: list[int], mission: Mission) -> str:
+def _elsewhere(about: dict[str, str], zooms: list[int], ground: Ground) -> str:
     """Why no tile is over the field, in words."""
-    lat_deg, lon_deg = mission.frame.origin_lat_deg, mission.frame.origin_lon_deg
+    lat_deg, lon_deg = ground.frame.origin_lat_deg, ground.frame.origin_lon_deg
     field = f"the field is at {lat_deg:.4f}, {lon_deg:.4f}"
     if not zooms:
         return "it holds no tiles"
@@ -187,7 +217,7 @@ def _elsewhere(about: dict[str, str], zooms: list[int], mission: Mission) -> str
         return f"none of its tiles is over the field in enough detail: {field}"
     if west <= lon_deg <= east and south <= lat_deg <= north:
         return f"it covers this region, but has no tiles of enough detail here (zoom {zooms[0]} at most); {field}"
-    middle = mission.frame.to_local((south + north) / 2, (west + east) / 2)
+    middle = ground.frame.to_local((south + north) / 2, (west + east) / 2)
     away_km = math.hypot(middle[0], middle[1]) / 1000
     return (
         f"is a map of elsewhere: latitude {south:.4f} to {north:.4f}, longitude {west:.4f} to {east:.4f}, "
@@ -198,17 +228,17 @@ def _elsewhere(about: dict[str, str], zooms: list[int], mission: Mission) -> str
 # -- one picture -------------------------------------------------------------------------------------------------
 
 
-def _picture(path: Path, where: str, mission: Mission) -> Background:
+def _picture(path: Path, where: str, ground: Ground, crs: str) -> Background:
     from PIL import Image, UnidentifiedImageError
 
     try:
         with Image.open(path) as image:
-            pixels = pixel_map(path, image, mission.file.field.background_crs, where)
-            place = _placer(pixels.crs, mission)
+            pixels = pixel_map(path, image, crs, where)
+            place = _placer(pixels.crs, ground)
             corners = [place(*pixels.at(u, v)) for u, v in ((0, 0), (image.width, 0), (0, image.height))]
             whole: Corners = (corners[0], corners[1], corners[2])
-            box = _box(whole, image.width, image.height, mission)
-            covered = _covered([whole], mission)
+            box = _box(whole, image.width, image.height, ground)
+            covered = _covered([whole], ground)
             if box is None or covered == 0.0:
                 away_m = math.hypot(*whole[0])
                 raise ConfigError(
@@ -225,21 +255,20 @@ def _picture(path: Path, where: str, mission: Mission) -> Background:
     return Background((picture,), "", covered)
 
 
-def _placer(crs: str, mission: Mission) -> Callable[[float, float], tuple[float, float]]:
+def _placer(crs: str, ground: Ground) -> Callable[[float, float], tuple[float, float]]:
     """From the picture's own coordinates to the field's."""
     if crs == "local":
         return lambda x, y: (x, y)
-    return lambda x, y: mission.frame.to_local(*to_degrees(crs, x, y))[:2]
+    return lambda x, y: ground.frame.to_local(*to_degrees(crs, x, y))[:2]
 
 
-def _box(corners: Corners, width: int, height: int, mission: Mission) -> tuple[int, int, int, int] | None:
+def _box(corners: Corners, width: int, height: int, ground: Ground) -> tuple[int, int, int, int] | None:
     """Pixels of the field and what is shown round it; None where the picture has none of it."""
-    field = mission.file.field
-    east_m, north_m = MARGIN * field.size_east_m, MARGIN * field.size_north_m
+    east_m, north_m = MARGIN * ground.size_east_m, MARGIN * ground.size_north_m
     found = [
         _pixel(corners, east, north)
-        for east in (-east_m, field.size_east_m + east_m)
-        for north in (-north_m, field.size_north_m + north_m)
+        for east in (-east_m, ground.size_east_m + east_m)
+        for north in (-north_m, ground.size_north_m + north_m)
     ]
     left, right = (bound(u for u, _ in found) * width for bound in (min, max))
     upper, lower = (bound(v for _, v in found) * height for bound in (min, max))
@@ -263,9 +292,17 @@ def _pixel(corners: Corners, east_m: float, north_m: float) -> tuple[float, floa
     return (d * dx - b * dy) / whole, (a * dy - c * dx) / whole
 
 
-def _encoded(image: Any) -> tuple[bytes, str]:
+def _smaller(picture: Picture, side_px: int) -> tuple[bytes, str]:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(picture.data)) as image:
+        image.load()
+        return _encoded(image, side_px)
+
+
+def _encoded(image: Any, side_px: int = LARGEST_PX) -> tuple[bytes, str]:
     """As browsers show it, not larger than they need."""
-    image.thumbnail((LARGEST_PX, LARGEST_PX))
+    image.thumbnail((side_px, side_px))
     clear = image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
     out = io.BytesIO()
     if clear:
@@ -278,19 +315,18 @@ def _encoded(image: Any) -> tuple[bytes, str]:
 # -- both --------------------------------------------------------------------------------------------------------
 
 
-def _covered(all_corners: list[Corners], mission: Mission, side: int = 20) -> float:
+def _covered(all_corners: list[Corners], ground: Ground, side: int = 20) -> float:
     """Share of the field's ground with a picture, looked at on a grid of places."""
 
     def lies_in(corners: Corners, place: tuple[float, float]) -> bool:
         u, v = _pixel(corners, *place)
         return 0.0 <= u <= 1.0 and 0.0 <= v <= 1.0
 
-    places = list(_places(mission, side))
+    places = list(_places(ground, side))
     return sum(any(lies_in(corners, place) for corners in all_corners) for place in places) / len(places)
 
 
-def _places(mission: Mission, side: int) -> Iterator[tuple[float, float]]:
-    field = mission.file.field
+def _places(ground: Ground, side: int) -> Iterator[tuple[float, float]]:
     for row in range(side):
         for column in range(side):
-            yield (column + 0.5) / side * field.size_east_m, (row + 0.5) / side * field.size_north_m
+            yield (column + 0.5) / side * ground.size_east_m, (row + 0.5) / side * ground.size_north_m
