@@ -1,4 +1,4 @@
-"""`fieldkit run | preflight | replay | report | new | check | dashboard`. Heavy imports stay inside the commands."""
+"""`fieldkit run | preflight | replay | report | new | check`. Heavy imports stay inside the commands."""
 
 import sys
 from collections.abc import Iterator
@@ -334,26 +334,6 @@ def check(
     )
     for line in advice:
         typer.echo(f"note: {line}")
-
-
-def dashboard(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="A recording (mission.mcap).")],
-    page_host: HostOption = given.PAGE_HOST,
-    page_port: PortOption = 8322,
-) -> None:
-    """Show a recording on the page that the live mission had, with a time to go to and a speed to play at.
-
-    Example: fieldkit dashboard runs/20260102T030405Z/mission.mcap
-    """
-    from fieldkit.clock import wall_sleep
-    from fieldkit.recording.reader import open_recording
-    from mission.page import serve
-
-    say(f"reading {log} ...")
-    with serve.past(open_recording(log), host=page_host, port=page_port) as page:
-        say(f"open {page.address}   (Ctrl-C ends it)", always=True)
-        while True:
-            wall_sleep(0.5)
 
 
 @contextmanager

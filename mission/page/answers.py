@@ -4,6 +4,7 @@
     /sources.geojson              what there is now; /sources.ndjson gives it again and again, a line each
     /network.kml                  a link for Google Earth, which fetches /present.kml
     /background/NAME              pictures under the map
+    /report.html                  of a recording: the report
 
 Everything here only looks. Places where robots are and were are as open as the page itself.
 """
@@ -20,6 +21,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response, Strea
 
 from fieldkit.channel.turn import bearing_of
 from fieldkit.coordinates import coordinates
+from fieldkit.errors import FieldkitError
 from fieldkit.geo import FieldFrame
 from fieldkit.recording.shapes import plain
 from mission.maps import kml
@@ -36,15 +38,23 @@ FURTHEST_M = 1e6
 MOST_HEARD = 400
 
 Answer = Callable[[Request], Awaitable[Response]]
+Report = Callable[[], bytes]
 
 
 class Answers:
     """For one mission or recording. Asked in the server's loop."""
 
     def __init__(
-        self, frame: FieldFrame, present: Callable[[], Present], background: Background | None = None
+        self,
+        frame: FieldFrame,
+        present: Callable[[], Present],
+        background: Background | None = None,
+        report: Report | None = None,
     ) -> None:
+        """`report` makes the report, an HTML page, when it is asked for; it may take a while."""
         self._frame, self._present = frame, present
+        self._report = report
+        self._reporting = asyncio.Lock()
         self._pictures = {each.name: each for each in background.pictures} if background else {}
         self._streams = 0
         self._ending, self._ended = asyncio.Event(), asyncio.Event()
@@ -58,6 +68,7 @@ class Answers:
     def routes(self) -> Mapping[str, Answer]:
         """Path to what answers there."""
         return {
+            **({} if self._report is None else {"/report.html": self._made_report}),
             "/where": self._where,
             "/bearing": self._bearing,
             "/sources.geojson": self._geojson,
@@ -103,6 +114,15 @@ class Answers:
         if picture is None:
             return PlainTextResponse("there is no such picture", 404)
         return Response(picture.data, media_type=picture.media_type, headers=_KEPT)
+
+    async def _made_report(self, request: Request) -> Response:
+        assert self._report is not None
+        try:
+            async with self._reporting:
+                page = await asyncio.to_thread(self._report)
+        except FieldkitError as error:
+            return PlainTextResponse(f"the report cannot be written: {error}", 500)
+        return Response(page, media_type="text/html", headers=_FRESH)
 
     async def _geojson(self, request: Request) -> Response:
         return Response(_text(self._present()), media_type="application/geo+json", headers=_FRESH)

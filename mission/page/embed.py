@@ -65,7 +65,7 @@ def embedded(recording: Recording) -> str:
     text = (STATIC / "page.html").read_text(encoding="utf-8")
     style = (STATIC / "page.css").read_text(encoding="utf-8")
     modules = {path.stem: path.read_text(encoding="utf-8") for path in STATIC.glob("*.js")}
-    modules = {name: source for name, source in modules.items() if not name.startswith("plan")}
+    modules = {name: source for name, source in modules.items() if not name.startswith(("plan", "runs"))}
     modules["socket"] = SOCKET
     addresses = {f"fieldkit/{name}.js": _address(source) for name, source in modules.items()}
     # What stands in a script ends where the next "</" stands, whatever the recording's names are.
@@ -100,7 +100,8 @@ def _data(recording: Recording) -> dict[str, Any]:
     grids = [(t_s, name, json.loads(text)) for t_s, name, text in show.grids]
     kept = {name: [each for each in grids if each[1] == name] for name in ("belief", "exposure")}
     return {
-        "hello": json.loads(show.hello) | {"background": show.background and show.background.inlined()},
+        "hello": json.loads(show.hello)
+        | {"background": show.background and show.background.inlined(), "files": []},
         "tracks": {name: track[-TRACK_POINTS:] for name, track in view.tracks.items()},
         "series": view.series[-SERIES_POINTS:],
         "detections": list(view.detections)[-KEPT:],

@@ -25,11 +25,13 @@ FASTEST = 100.0
 class PastShow:
     """A `Show` of a recording, made once from the whole recording."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, *, has_report: bool = False) -> None:
         mission = recorded_mission(recording)
         view = View(mission, kept=None)
         self.background = background_or_none(mission)
         view.background = None if self.background is None else self.background.described()
+        if has_report:
+            view.files.append(["report", "report.html"])
         self.duration_s = float(recording.summary()["duration_s"])
         every_s = max(1.0, self.duration_s / MOST_FRAMES)
         self.frames: list[tuple[float, str]] = []

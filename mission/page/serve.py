@@ -10,7 +10,7 @@ from fieldkit.messages import Operator
 from fieldkit.recording.reader import Recording
 from mission.core.mission_file import Mission
 from mission.maps.background import background_or_none
-from mission.page.answers import Answers
+from mission.page.answers import Answers, Report
 from mission.page.disk import DiskWords
 from mission.page.live import LiveShow
 from mission.page.past import PastShow
@@ -77,9 +77,11 @@ def live(mission: Mission, *, host: str = given.PAGE_HOST, port: int = 0) -> Ite
 
 
 @contextmanager
-def past(recording: Recording, *, host: str = given.PAGE_HOST, port: int = 0) -> Iterator[Page]:
-    """The page over a recording. Raises `RecordingError`, `ConfigError`."""
-    show = PastShow(recording)
-    answers = Answers(show.view.mission.frame, show.view.latest.present, show.background)
+def past(
+    recording: Recording, *, host: str = given.PAGE_HOST, port: int = 0, report: Report | None = None
+) -> Iterator[Page]:
+    """The page over a recording; `report` makes what it offers as such. Raises `RecordingError`, `ConfigError`."""
+    show = PastShow(recording, has_report=report is not None)
+    answers = Answers(show.view.mission.frame, show.view.latest.present, show.background, report)
     with Page(show, host=host, port=port, answers=answers) as page:
         yield page

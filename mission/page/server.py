@@ -71,6 +71,19 @@ class Show(Protocol):
         ...
 
 
+class NothingLive:
+    """A `Show` of nothing: what has no present."""
+
+    def open(self, mailbox: "Mailbox") -> None:
+        """Nothing is sent."""
+
+    def close(self, mailbox: "Mailbox") -> None:
+        """Nothing is kept."""
+
+    def asked(self, mailbox: "Mailbox", question: dict[str, Any]) -> None:
+        """Nothing is answered."""
+
+
 class Answers(Protocol):
     """What is served besides the page."""
 

@@ -84,6 +84,8 @@ class View:
         self.latest = Latest(mission)
         """The present, for other maps."""
         self.background: dict[str, Any] | None = None
+        self.files: list[list[str]] = [["GeoJSON", "sources.geojson"], ["KML", "present.kml"]]
+        """What can be saved of it: a word, and where it is answered."""
         """Pictures under the map."""
         self.tracks: dict[str, list[tuple[float, float, float]]] = {name: [] for name in engine.robots}
         """Robot to (s, east, north), thinned."""
@@ -225,6 +227,7 @@ class View:
             ],
             "pose_timeout_s": self.mission.safety.pose_timeout_s,
             "background": self.background,
+            "files": self.files,
         }
 
     def frame(self) -> dict[str, Any]:

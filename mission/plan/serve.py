@@ -3,25 +3,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from fieldkit import settings as given
-from mission.page.server import Mailbox, Page
+from mission.page.server import NothingLive, Page
 from mission.plan.answers import PlanAnswers
 from mission.plan.desk import Desk
-
-
-class NothingLive:
-    """A `Show` of nothing: a draft has no present."""
-
-    def open(self, mailbox: Mailbox) -> None:
-        """Nothing is sent."""
-
-    def close(self, mailbox: Mailbox) -> None:
-        """Nothing is kept."""
-
-    def asked(self, mailbox: Mailbox, question: dict[str, Any]) -> None:
-        """Nothing is answered."""
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -129,7 +130,7 @@ def looking(browser: Any, address: str, *, is_refused: bool = False, **options: 
     faults: list[str] = []
     tab.on("pageerror", lambda error: faults.append(str(error)))
     tab.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
-    own = address.split("#")[0].rstrip("/")
+    own = f"http://{urlsplit(address).hostname}:"  # also on another port: a recording's page has its own
     tab.on(
         "request",
         lambda request: (
@@ -144,3 +145,18 @@ def looking(browser: Any, address: str, *, is_refused: bool = False, **options: 
     if is_refused:
         faults = [each for each in faults if not each.startswith("Failed to load resource")]
     assert not faults
+
+
+WCAG = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]}}
+
+
+def found_wrong(tab: Any) -> list[str]:
+    """What axe-core finds wrong by WCAG 2.2 AA."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    report = Axe().run(tab, options=WCAG).response
+    return [
+        f"{each['impact']}: {each['id']}: {node['html'][:120]} {node['failureSummary'][:200]}"
+        for each in report["violations"]
+        for node in each["nodes"]
+    ]

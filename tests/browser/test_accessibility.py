@@ -5,15 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import Flown, looking
+from flying import Flown, found_wrong, looking
 
 from fieldkit.messages import SourceEstimate
 from fieldkit.recording.reader import open_recording
 from mission.lab.synthetic import record_simulated
 from mission.page import serve
 
-axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="pip install .[dev]")
-TAGS = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]}}
+pytest.importorskip("axe_playwright_python.sync_playwright", reason="pip install .[dev]")
 LOOKS = [
     (1440, 900, "dark"),
     (1440, 900, "light"),
@@ -21,15 +20,6 @@ LOOKS = [
     (390, 844, "light"),
     (390, 844, "dark"),
 ]
-
-
-def found_wrong(tab: Any) -> list[str]:
-    report = axe.Axe().run(tab, options=TAGS).response
-    return [
-        f"{each['impact']}: {each['id']}: {node['html'][:120]} {node['failureSummary'][:200]}"
-        for each in report["violations"]
-        for node in each["nodes"]
-    ]
 
 
 def show_all(flown: Flown) -> None:

@@ -1,5 +1,6 @@
 // Puts the parts together: messages in, one drawing per screen refresh at most, and the state of the connection.
 import { model } from "./model.js";
+import { element } from "./dom.js";
 import { connect, ask } from "./socket.js";
 import { area, draw, lookedAt, pin } from "./map.js";
 import { setUpTools } from "./tools.js";
@@ -25,6 +26,9 @@ function onMessage(message) {
     document.title = `${message.mission} · fieldkit`;
     if (!message.live) { $("slider").max = Math.ceil(message.duration_s); ask({ kind: "seek", t_s: message.duration_s }); }
     showRights();
+    const files = message.files.map(([word, address]) => element("a", { href: address, download: address, textContent: word }));
+    $("files").replaceChildren("Save: ", ...files);
+    $("files").hidden = !files.length;
   }
   if (message.kind === "rights") {
     showRights();

@@ -26,6 +26,11 @@ function polygon(points, colour, { close = true, dots = true } = {}) {
   if (dots) for (const [east, north] of points) { pen.beginPath(); pen.arc(X(east), Y(north), 5, 0, 7); pen.fill(); }
 }
 
+function write(text, x, y) {
+  pen.strokeStyle = ink("panel"); pen.lineWidth = 3; pen.lineJoin = "round"; pen.strokeText(text, x, y);
+  pen.fillText(text, x, y);
+}
+
 export function draw() {
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   if (!width || !(shape.east_m > 0) || !(shape.north_m > 0)) return;
@@ -40,11 +45,12 @@ export function draw() {
   pen.fillStyle = ink("panel"); pen.fill();
   for (const { image, corners_m } of ground.pictures) drawPicture(pen, image, image.width, image.height, corners_m);
   path(border, true);
-  pen.strokeStyle = ink("dim"); pen.lineWidth = 1.5; pen.stroke();
-  pen.fillStyle = ink("dim"); pen.font = "12px system-ui"; pen.textAlign = "center"; pen.textBaseline = "top";
-  pen.fillText(`${shape.east_m} m`, X(shape.east_m / 2), Y(0) + 8);
+  pen.strokeStyle = ink("panel"); pen.lineWidth = 4; pen.stroke(); // also seen over a picture
+  pen.strokeStyle = ink("text"); pen.lineWidth = 1.5; pen.stroke();
+  pen.fillStyle = ink("text"); pen.font = "12px system-ui"; pen.textAlign = "center"; pen.textBaseline = "top";
+  write(`${shape.east_m} m`, X(shape.east_m / 2), Y(0) + 8);
   pen.textAlign = "right"; pen.textBaseline = "middle";
-  pen.fillText(`${shape.north_m} m`, X(0) - 8, Y(shape.north_m / 2));
+  write(`${shape.north_m} m`, X(0) - 8, Y(shape.north_m / 2));
   if (shape.fence) polygon(shape.fence, ink("accent"));
   for (const area of shape.keep_out) polygon(area, ink("bad"));
   if (drawing.kind) {

@@ -1,0 +1,131 @@
+"""The recordings in a folder, on a page of their own: each a line, and one that is chosen opens on its page.
+
+    GET  /runs/list   the recordings: when, how long, what was found, whether anything is missing
+    POST /runs/open   {name}: the address of its page
+
+A recording's page is served on a port of its own; of many that were opened, the longest open is closed.
+"""
+
+import asyncio
+import json
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+
+from fieldkit import settings as given
+from fieldkit.errors import DataError, FieldkitError, RecordingError
+from fieldkit.recording.reader import Recording, is_later_part, open_recording
+from mission.page.server import NothingLive, Page
+
+MOST_LISTED = 500
+MOST_OPEN = 6
+
+Answer = Callable[[Request], Awaitable[Response]]
+Opener = Callable[[Recording], AbstractContextManager[Page]]
+
+
+class Shelf:
+    """The recordings in `folder` and below. `opener` serves one. Raises `DataError` where there is no such folder."""
+
+    def __init__(self, folder: Path, opener: Opener) -> None:
+        if not folder.is_dir():
+            raise DataError(f"{folder}: no such folder")
+        self._folder, self._opener = folder, opener
+        self._known: dict[Path, tuple[tuple[int, int], dict[str, Any]]] = {}
+        """What was found out of a file, and of which state of it (bytes, time of change)."""
+        self._open: OrderedDict[str, tuple[AbstractContextManager[Page], Page]] = OrderedDict()
+        self._one_at_a_time = asyncio.Lock()
+
+    def routes(self) -> Mapping[str, Answer]:
+        """Path to what answers there, asked by GET."""
+        return {"/runs/list": self._list}
+
+    def posts(self) -> Mapping[str, Answer]:
+        """The same, asked by POST."""
+        return {"/runs/open": self._chosen}
+
+    async def end(self) -> None:
+        """Nothing goes out that has to end."""
+
+    def close(self) -> None:
+        """Every page that was opened ends."""
+        while self._open:
+            self._open.popitem()[1][0].__exit__(None, None, None)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The newest first."""
+        files = [path for path in self._folder.rglob("*.mcap") if not is_later_part(path)]
+        rows = [self._row(path) for path in sorted(files, reverse=True)[:MOST_LISTED]]
+        return sorted(rows, key=lambda row: row.get("start_ns") or 0, reverse=True)
+
+    def _row(self, path: Path) -> dict[str, Any]:
+        stat = path.stat()
+        state = (stat.st_size, stat.st_mtime_ns)
+        if path not in self._known or self._known[path][0] != state:
+            self._known[path] = state, {"name": path.relative_to(self._folder).as_posix()} | _look(path)
+        return self._known[path][1]
+
+    def open(self, name: str) -> str:
+        """The address of that recording's page. Raises `RecordingError`; `DataError` for one that is not listed."""
+        if name not in {row["name"] for row in self.rows()}:
+            raise DataError(f"{name}: is not in {self._folder}")
+        if name not in self._open:
+            served = self._opener(open_recording(self._folder / name))
+            self._open[name] = served, served.__enter__()
+            if len(self._open) > MOST_OPEN:
+                self._open.popitem(last=False)[1][0].__exit__(None, None, None)
+        self._open.move_to_end(name)
+        return self._open[name][1].address
+
+    async def _list(self, request: Request) -> Response:
+        async with self._one_at_a_time:
+            rows = await asyncio.to_thread(self.rows)
+        return JSONResponse({"folder": str(self._folder.absolute()), "runs": rows})
+
+    async def _chosen(self, request: Request) -> Response:
+        try:
+            name = json.loads(await request.body())["name"]
+            if not isinstance(name, str):
+                raise ValueError
+        except (ValueError, KeyError, TypeError):
+            return JSONResponse({"error": "expected {name}"}, 400)
+        try:
+            async with self._one_at_a_time:
+                return JSONResponse({"address": await asyncio.to_thread(self.open, name)})
+        except FieldkitError as error:
+            return JSONResponse({"error": str(error)}, 400)
+
+
+def _look(path: Path) -> dict[str, Any]:
+    """What a line says of a recording, or what is wrong with it."""
+    try:
+        recording = open_recording(path)
+        said = recording.summary()
+        result = recording.result() if recording.complete else None
+    except (RecordingError, OSError) as error:
+        return {"error": str(error)}
+    return {
+        "start_ns": said["start_ns"],
+        "duration_s": round(said["duration_s"], 1),
+        "bytes": said["bytes"],
+        "readings": said["counts"].get("/in/reading", 0),
+        "found": None if result is None else len(result.get("found_at_s", ())),
+        "ended": "" if result is None else str(result.get("end_reason", "")),
+        "missing": said["missing"] if not said["complete"] else "",
+    }
+
+
+@contextmanager
+def shelf(folder: Path, opener: Opener, *, host: str = given.PAGE_HOST, port: int = 0) -> Iterator[Page]:
+    """The page of a folder's recordings. Raises `DataError`, `ConfigError` where the port is taken."""
+    kept = Shelf(folder, opener)
+    try:
+        with Page(NothingLive(), host=host, port=port, answers=kept, front="runs.html") as page:
+            yield page
+    finally:
+        kept.close()

@@ -1,0 +1,61 @@
+// The recordings of a folder: a line each; one that is chosen opens on its own page.
+import { element } from "./dom.js";
+
+const $ = (id) => document.getElementById(id);
+
+function notice(text) { $("notice").textContent = text; $("notice").className = "bad"; $("notice").hidden = !text; }
+
+async function ask(path, options) {
+  try {
+    const plain = await (await fetch(path, options)).json();
+    notice(plain.error ?? "");
+    return plain.error ? null : plain;
+  } catch {
+    notice("No answer: has 'fieldkit dashboard' ended?");
+    return null;
+  }
+}
+
+async function open(button, name) {
+  button.disabled = true;
+  button.textContent = "reading …";
+  const found = await ask("runs/open", { method: "POST", body: JSON.stringify({ name }) });
+  button.disabled = false;
+  button.textContent = name;
+  if (found) location.assign(found.address);
+}
+
+const lasted = (s) => (s < 3600 ? `${Math.floor(s / 60)} min ${Math.round(s % 60)} s` : `${Math.floor(s / 3600)} h ${Math.round((s % 3600) / 60)} min`);
+const begun = (ns) => new Date(ns / 1e6).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+const cell = (word, text, className = "") => { const made = element("td", { className, textContent: text }); if (word) made.dataset.word = word; return made; };
+
+function row(run) {
+  const button = element("button", { className: "act", textContent: run.name });
+  button.addEventListener("click", () => open(button, run.name));
+  const name = element("td", {}, button);
+  if (run.error) {
+    button.disabled = true;
+    const why = cell("", run.error, "bad");
+    why.colSpan = 4;
+    return element("tr", {}, cell("", ""), name, why);
+  }
+  const end = run.missing ? cell("", `NOT complete: ${run.missing}`, "bad") : cell("ended", run.ended);
+  return element("tr", {},
+    cell("", run.start_ns ? begun(run.start_ns) : "–"), name, cell("lasted", lasted(run.duration_s), "number"),
+    cell("found", run.found ?? "–", "number"), cell("readings", String(run.readings), "number"), end);
+}
+
+async function list() {
+  $("again").disabled = true;
+  const found = await ask("runs/list");
+  $("again").disabled = false;
+  if (!found) return;
+  $("folder").textContent = found.folder.split(/[\\/]/).at(-1);
+  $("folder").title = found.folder;
+  $("rows").replaceChildren(...found.runs.map(row));
+  $("none").textContent = `There is no recording in ${found.folder}. A mission makes one: fieldkit run mission.toml`;
+  $("none").hidden = found.runs.length > 0;
+}
+
+$("again").addEventListener("click", list);
+list();
