@@ -36,8 +36,9 @@ lint: $(VENV)/.installed-dev
 licences: $(VENV)/.installed-dev
 	$(BIN)/pytest -q -n 0 tests/system/test_notice.py
 
+# Three at a time on two cores: many tests wait for a wire or a clock.
 test: lint
-	$(BIN)/pytest -n 2 --dist loadfile --cov --cov-report=
+	$(BIN)/pytest -n 3 --dist loadfile --cov --cov-report=
 	$(BIN)/coverage report --include='mission/core/*,mission/safety/*' --fail-under=$(CORE_FLOOR)
 	@echo "reached by the tests, of all lines and branches, in per cent:"
 	$(BIN)/coverage report --format=total --fail-under=$(FLOOR)

@@ -15,6 +15,9 @@ HELP = """Find unknown, short-lived radio transmitters with a team of small robo
 
 Start with 'fieldkit demo': one whole mission on emulated radios and rovers.
 """
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+"""Read by numpy's linear algebra when it is loaded. Our matrices are small: more threads wait for each other, beside
+another busy process for most of the time, and how many there are may change the last bit of a result."""
 
 
 def _version(wanted: bool) -> None:
@@ -79,6 +82,8 @@ def _broken(message: str) -> Callable[[], None]:
 
 def main() -> None:
     """Run the command line; errors made on purpose are printed plainly, with their exit code."""
+    for name in BLAS_THREADS:
+        os.environ.setdefault(name, "1")
     try:
         build()()
     except FieldkitError as error:

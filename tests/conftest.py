@@ -1,12 +1,18 @@
 """What holds for every test: no claim about time, since machines are slow and busy, and nothing is left running."""
 
 import asyncio
+import os
 import threading
 from asyncio import runners
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
+
+from fieldkit.cli import BLAS_THREADS
+
+for _name in BLAS_THREADS:  # as the command does, and before anything loads numpy
+    os.environ.setdefault(_name, "1")
 
 settings.register_profile("fieldkit", deadline=None)
 settings.load_profile("fieldkit")

@@ -67,7 +67,7 @@ def test_mode_4_is_hold_on_a_rover_and_guided_on_a_copter():
 @pytest.mark.parametrize("firmware", [ROVER, COPTER, PX4])
 @given(mode=st.integers(0, 2**32 - 1))
 def test_an_unknown_mode_gives_no_authority(firmware, mode):
-    if mode not in (*firmware.guided, *firmware.hold, *firmware.home):
+    if mode not in (*firmware.guided, *firmware.hold, *firmware.home, *firmware.land):
         assert firmware.meaning(mode) == "other"
 
 
