@@ -4,12 +4,13 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 SEED   ?= 7
 BENCH  ?= all
+TSC    := tests/browser/node_modules/.bin/tsc
 # Per cent of lines and branches that the tests must reach: of all, and of what decides in a mission (89 and 98 when last
 # measured whole; a little is left for machines without a browser).
 FLOOR      ?= 86
 CORE_FLOOR ?= 96
 
-.PHONY: demo test bench lint licences docs screenshots wheel env clean
+.PHONY: demo test bench lint licences protocol page-types docs screenshots wheel env clean
 
 env: $(VENV)/.installed
 
@@ -42,6 +43,18 @@ test: lint
 	$(BIN)/coverage report --include='mission/core/*,mission/safety/*' --fail-under=$(CORE_FLOOR)
 	@echo "reached by the tests, of all lines and branches, in per cent:"
 	$(BIN)/coverage report --format=total --fail-under=$(FLOOR)
+
+# The types of the page's JavaScript, from the models in Python.
+protocol: $(VENV)/.installed-dev
+	$(BIN)/python -m mission.lab.page_types
+
+# The page's JavaScript against these types, by TypeScript's compiler. It needs npm; nothing is built, nobody else needs it.
+page-types: $(TSC)
+	$(TSC) -p tests/browser
+
+$(TSC): tests/browser/package.json
+	npm install --prefix tests/browser --no-package-lock --no-audit --no-fund --silent
+	touch $@
 
 # The manual, offline, with warnings as errors; 'fieldkit docs' opens it.
 docs: $(VENV)/.installed-dev

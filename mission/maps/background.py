@@ -17,6 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import TypedDict
+
 from fieldkit.errors import ConfigError
 from fieldkit.geo import FieldFrame
 from mission.core.mission_file import Mission
@@ -48,6 +50,21 @@ class Picture:
     """(east, north) of its upper left, upper right and lower left corner."""
 
 
+class PictureShown(TypedDict):
+    """A picture as the page is sent it."""
+
+    url: str
+    corners_m: Corners
+    """(east, north) of its upper left, upper right and lower left corner."""
+
+
+class BackgroundShown(TypedDict):
+    """All of them, and whom they are owed to."""
+
+    credit: str
+    pictures: list[PictureShown]
+
+
 @dataclass(frozen=True, slots=True)
 class Background:
     """What is under the map."""
@@ -57,7 +74,7 @@ class Background:
     covered: float
     """Share of the field that has a picture."""
 
-    def described(self, folder: str = "background") -> dict[str, Any]:
+    def described(self, folder: str = "background") -> BackgroundShown:
         """As the page is sent it; it fetches the pictures from `folder`."""
         return self._described(f"{folder}/{each.name}" for each in self.pictures)
 
@@ -67,17 +84,17 @@ class Background:
             data, media_type = _smaller(each, INLINE_PX if len(self.pictures) == 1 else TILE_PX)
             yield replace(each, data=data, media_type=media_type)
 
-    def inlined(self) -> dict[str, Any]:
+    def inlined(self) -> BackgroundShown:
         """As the page is given it where it has no server: with the pictures in it."""
         return self._described(
             f"data:{each.media_type};base64,{base64.b64encode(each.data).decode()}" for each in self.smaller()
         )
 
-    def _described(self, urls: Iterable[str]) -> dict[str, Any]:
+    def _described(self, urls: Iterable[str]) -> BackgroundShown:
         return {
             "credit": self.credit,
             "pictures": [
-                {"url": url, "corners_m": [list(corner) for corner in each.corners_m]}
+                {"url": url, "corners_m": each.corners_m}
                 for url, each in zip(urls, self.pictures, strict=True)
             ],
         }

@@ -14,7 +14,6 @@ import contextlib
 import json
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from dataclasses import asdict
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
@@ -23,11 +22,11 @@ from fieldkit.channel.turn import bearing_of
 from fieldkit.coordinates import coordinates
 from fieldkit.errors import FieldkitError
 from fieldkit.geo import FieldFrame
-from fieldkit.recording.shapes import plain
 from mission.maps import kml
 from mission.maps.background import Background
 from mission.maps.geojson import collection
 from mission.maps.present import Present
+from mission.page.protocol import FittedBearing, Where
 
 EVERY_S = 1.0
 """Between lines of the stream; none is sent while nothing has changed."""
@@ -90,12 +89,14 @@ class Answers:
         if not (abs(east_m) <= FURTHEST_M and abs(north_m) <= FURTHEST_M):
             return PlainTextResponse("too far away", 400)
         lat_deg, lon_deg, _ = self._frame.to_geodetic(east_m, north_m)
-        return JSONResponse(
-            {
-                "metres": f"{east_m:.1f} m E, {north_m:.1f} m N",
-                **asdict(coordinates(lat_deg, lon_deg)),
-            }
-        )
+        place = coordinates(lat_deg, lon_deg)
+        where: Where = {
+            "metres": f"{east_m:.1f} m E, {north_m:.1f} m N",
+            "lat_lon": place.lat_lon,
+            "utm": place.utm,
+            "mgrs": place.mgrs,
+        }
+        return JSONResponse(where)
 
     async def _bearing(self, request: Request) -> Response:
         """`?heard=HEADING:DBM,...` of one turn round."""
@@ -107,7 +108,13 @@ class Answers:
         except (KeyError, ValueError):
             return PlainTextResponse("expected ?heard=HEADING:DBM,HEADING:DBM, numbers", 400)
         found = bearing_of([heading for heading, _ in numbers], [dbm for _, dbm in numbers])
-        return JSONResponse(plain(asdict(found)))
+        bearing: FittedBearing = {
+            "bearing_deg": _finite(found.bearing_deg),
+            "error_90_deg": _finite(found.error_90_deg),
+            "swing_db": found.swing_db,
+            "why": found.why,
+        }
+        return JSONResponse(bearing)
 
     async def _background(self, request: Request) -> Response:
         picture = self._pictures.get(request.path_params["name"])
@@ -162,6 +169,10 @@ class Answers:
 
 _KEPT = {"Cache-Control": "max-age=3600", "X-Content-Type-Options": "nosniff"}
 _FRESH = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff"}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _text(present: Present) -> str:

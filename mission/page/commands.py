@@ -1,15 +1,64 @@
-"""What a browser may ask for, checked: anything else is answered with words, never with an error of ours."""
+"""What a browser may ask for, checked: anything else is answered with words, never with an error of ours.
+
+What the server says is in `mission.page.protocol`; the types of the page's JavaScript are made from both.
+"""
 
 import json
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+Number = Annotated[float, Field(allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
 
 
 class _Asked(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class Token(_Asked):
+    """Asks for the right to command."""
+
+    kind: Literal["token"]
+    token: str
+
+
+class Look(_Asked):
+    """How was it at that time? Of a mission under way."""
+
+    kind: Literal["look"]
+    t_s: Number
+
+
+class Seek(_Asked):
+    """Go to that time of a recording."""
+
+    kind: Literal["seek"]
+    t_s: Number
+
+
+class Play(_Asked):
+    """Play a recording from where it is, so many times as fast as it was."""
+
+    kind: Literal["play"]
+    rate: Number
+
+
+class Pause(_Asked):
+    """Play no further."""
+
+    kind: Literal["pause"]
+
+
+Question = Look | Seek | Play | Pause
+"""Asks for something else to see."""
+
+
+class Numbered(_Asked):
+    """Goes with every command: its answer has the same number."""
+
+    kind: Literal["command"]
+    number: Annotated[int, Field(strict=True)]
 
 
 class Steer(_Asked):
@@ -65,8 +114,10 @@ class Exclude(_Asked):
     area_m: Annotated[tuple[tuple[Coordinate, Coordinate], ...], Field(min_length=3, max_length=100)]
 
 
-_Command = Steer | End | Remove | Mark | TakenBearing | Exclude
-_COMMAND: TypeAdapter[_Command] = TypeAdapter(Annotated[_Command, Field(discriminator="action")])
+Command = Steer | End | Remove | Mark | TakenBearing | Exclude
+"""What a robot or the mission is to do."""
+_COMMAND: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="action")])
+_QUESTION: TypeAdapter[Question] = TypeAdapter(Annotated[Question, Field(discriminator="kind")])
 ACTIONS = ("hold", "resume", "return", "release", "end", "remove", "mark", "exclude", "bearing")
 
 
@@ -77,6 +128,30 @@ def message_of(data: str | bytes) -> dict[str, Any]:
     except (ValueError, RecursionError):
         return {}
     return message if isinstance(message, dict) else {}
+
+
+def token_of(message: dict[str, Any]) -> str:
+    """The token it shows; empty where it shows none."""
+    try:
+        return Token.model_validate(message).token
+    except (ValidationError, RecursionError):
+        return ""
+
+
+def number_of(message: dict[str, Any]) -> int | None:
+    """A command's number; a command without one is carried out all the same."""
+    try:
+        return Numbered.model_validate(message).number
+    except (ValidationError, RecursionError):
+        return None
+
+
+def question_of(message: dict[str, Any]) -> Question | None:
+    """A question; None where it is none that there is, or asks for no time."""
+    try:
+        return _QUESTION.validate_python(message)
+    except (ValidationError, RecursionError):
+        return None
 
 
 def checked_command(message: dict[str, Any]) -> dict[str, Any] | str:

@@ -1,17 +1,17 @@
 """The page of a recording as one piece of HTML that needs no server: it goes into a report, and works without internet.
 
 The page's own modules are inlined under bare names (an import map of data: URLs); `socket.js`, which asks a server, is
-replaced by one that has the answers. The frames are fewer than a dashboard has: a report is sent by mail.
+replaced by `recorded.js`, which has the answers. The frames are fewer than a dashboard has: a report is sent by mail.
 """
 
 import base64
 import html
 import json
 import re
-from typing import Any
 
 from fieldkit.recording.reader import Recording
 from mission.page.past import PastShow
+from mission.page.protocol import GridName, Recorded
 from mission.page.server import STATIC
 from mission.page.view import KEPT, SERIES_POINTS, TRACK_POINTS
 
@@ -22,42 +22,6 @@ NOTHING_STORED = (
     """Object.defineProperty(window, "sessionStorage", { value: { getItem: () => null, setItem() {} } });"""
 )
 """A frame of no origin may store nothing, and says so by an error."""
-SOCKET = """
-import { model, receive } from "./model.js";
-const data = JSON.parse(document.getElementById("recorded").textContent);
-let told = () => {};
-let playing = 0;
-const say = (message) => { receive(message); told(message); };
-function seek(t_s) {
-  const early = (rows, key) => rows.filter((row) => row[key] <= t_s);
-  const tracks = Object.fromEntries(Object.entries(data.tracks).map(([name, rows]) => [name, early(rows, 0)]));
-  const [series, detections, notes] = ["series", "detections", "notes"].map((name) => early(data[name], "t_s"));
-  say({ kind: "history", tracks, series, detections, notes });
-  for (const name of ["belief", "exposure"]) {
-    const grid = data.grids.filter((each) => each.name === name && each.t_s <= t_s).at(-1);
-    if (grid) say(grid.grid);
-  }
-  say(data.frames.filter((frame) => frame.t_s <= t_s).at(-1) ?? data.frames[0]);
-}
-export function ask(question) {
-  clearInterval(playing);
-  if (question.kind === "seek") seek(question.t_s);
-  if (question.kind !== "play") return;
-  let t_s = model.frame.t_s >= data.hello.duration_s - 1 ? 0 : model.frame.t_s;
-  playing = setInterval(() => {
-    t_s = Math.min(t_s + 0.2 * question.rate, data.hello.duration_s);
-    seek(t_s);
-    if (t_s >= data.hello.duration_s) clearInterval(playing);
-  }, 200);
-}
-export function command() { return Promise.resolve({ ok: false, text: "a recording takes no commands" }); }
-export function connect(onMessage, onState) {
-  told = onMessage;
-  model.connected = true;
-  say(data.hello);
-  onState();
-}
-"""
 
 
 def embedded(recording: Recording) -> str:
@@ -66,7 +30,7 @@ def embedded(recording: Recording) -> str:
     style = (STATIC / "page.css").read_text(encoding="utf-8")
     modules = {path.stem: path.read_text(encoding="utf-8") for path in STATIC.glob("*.js")}
     modules = {name: source for name, source in modules.items() if not name.startswith(("plan", "runs"))}
-    modules["socket"] = SOCKET
+    modules["socket"] = modules.pop("recorded")
     addresses = {f"fieldkit/{name}.js": _address(source) for name, source in modules.items()}
     # What stands in a script ends where the next "</" stands, whatever the recording's names are.
     data = json.dumps(_data(recording)).replace("<", "\\u003c")
@@ -91,17 +55,21 @@ def _address(source: str) -> str:
     return f"data:text/javascript;base64,{base64.b64encode(bare.encode()).decode()}"
 
 
-def _data(recording: Recording) -> dict[str, Any]:
+def _data(recording: Recording) -> Recorded:
     """What a server would have answered."""
     show = PastShow(recording)
     view = show.view
     frames = [json.loads(text) for _, text in show.frames]
     every = max(1, len(frames) // MOST_FRAMES)
     grids = [(t_s, name, json.loads(text)) for t_s, name, text in show.grids]
-    kept = {name: [each for each in grids if each[1] == name] for name in ("belief", "exposure")}
+    names: tuple[GridName, ...] = ("belief", "exposure")
+    kept = {name: [each for each in grids if each[1] == name] for name in names}
     return {
-        "hello": json.loads(show.hello)
-        | {"background": show.background and show.background.inlined(), "files": []},
+        "hello": {
+            **view.past_hello(show.duration_s),
+            "background": None if show.background is None else show.background.inlined(),
+            "files": [],
+        },
         "tracks": {name: track[-TRACK_POINTS:] for name, track in view.tracks.items()},
         "series": view.series[-SERIES_POINTS:],
         "detections": list(view.detections)[-KEPT:],
@@ -109,7 +77,7 @@ def _data(recording: Recording) -> dict[str, Any]:
         "frames": [*frames[:-1:every], frames[-1]],
         "grids": [
             {"t_s": t_s, "name": name, "grid": grid}
-            for rows in kept.values()
-            for t_s, name, grid in [*rows[: -1 : max(1, len(rows) // 20)], *rows[-1:]]
+            for name, rows in kept.items()
+            for t_s, _, grid in [*rows[: -1 : max(1, len(rows) // 20)], *rows[-1:]]
         ],
     }

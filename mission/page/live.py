@@ -1,14 +1,15 @@
 """A mission under way, shown: frames twice a second, news and grids as they come, and what the operator wants."""
 
 import contextlib
-import json
 from collections import deque
 from typing import Any
 
 from fieldkit.messages import Event, Tick
+from mission.page.commands import Look, Question
 from mission.page.disk import DiskWords
+from mission.page.protocol import Frame, Grid, Past, text_of
 from mission.page.server import Mailbox, Page
-from mission.page.view import View, number_or, thin
+from mission.page.view import View, thin
 
 Messages = list[tuple[str, str]]
 """(slot in a mailbox, text)."""
@@ -37,7 +38,7 @@ class LiveShow:
 
     def open(self, mailbox: Mailbox) -> None:
         """The past is sent at the mission's next tick."""
-        mailbox.put("hello", json.dumps(self.view.hello() | {"live": True}))
+        mailbox.put("hello", text_of(self.view.hello()))
         self._newcomers.append(mailbox)
 
     def close(self, mailbox: Mailbox) -> None:
@@ -45,11 +46,10 @@ class LiveShow:
             with contextlib.suppress(ValueError):
                 waiting.remove(mailbox)
 
-    def asked(self, mailbox: Mailbox, question: dict[str, Any]) -> None:
-        """`look` at how it was at a time."""
-        if question.get("kind") == "look" and (past := self._past):
-            t_s = number_or(question.get("t_s"), past[-1][0])
-            earlier = [text for at_s, text in past if at_s <= t_s]
+    def asked(self, mailbox: Mailbox, question: Question) -> None:
+        """Only `Look` is answered: how it was at a time."""
+        if isinstance(question, Look) and (past := self._past):
+            earlier = [text for at_s, text in past if at_s <= question.t_s]
             mailbox.put("past", earlier[-1] if earlier else past[0][1])
 
     def _hand_over(self, now: Messages, news: list[str], newcomers: list[Mailbox], past: Messages) -> None:
@@ -78,12 +78,19 @@ class LiveShow:
         if self.page is None or not self.page.clients:
             return
         newcomers = [self._newcomers.popleft() for _ in range(len(self._newcomers))]
-        past = _texts(self.view.history()) if newcomers else []
-        around = {"viewers": self.page.clients, "commanders": self.page.commanders}
-        recording = {} if self.disk is None else {"recording": self.disk.now()}
-        frame = ("frame", json.dumps(self.view.frame() | around | recording))
+        past: Messages = []
+        if newcomers:
+            past = [("history", text_of(self.view.history())), *_texts(self.view.all_grids())]
+        present: Frame = {
+            **self.view.frame(),
+            "viewers": self.page.clients,
+            "commanders": self.page.commanders,
+        }
+        if self.disk is not None:
+            present["recording"] = self.disk.now()
+        frame = ("frame", text_of(present))
         now = [frame, *_texts(self.view.grids())]
-        encoded = [json.dumps({"kind": "news", **each}) for each in news]
+        encoded = [text_of(each) for each in news]
         self.page.call(lambda: self._hand_over(now, encoded, newcomers, [*past, frame]))
 
     def _remember(self) -> None:
@@ -91,8 +98,8 @@ class LiveShow:
         now_s = self.view.now_s
         if self._past and now_s - self._past[-1][0] < PAST_EVERY_S:
             return
-        moment = {"kind": "past", "frame": self.view.frame(), "grids": self.view.all_grids()}
-        past = [*self._past, (now_s, json.dumps(moment))]
+        moment: Past = {"kind": "past", "frame": self.view.frame(), "grids": self.view.all_grids()}
+        past = [*self._past, (now_s, text_of(moment))]
         thin(past, PAST_FRAMES)
         self._past = past
 
@@ -118,5 +125,5 @@ class LiveShow:
         self.publish()
 
 
-def _texts(messages: list[dict[str, Any]]) -> Messages:
-    return [(f"{each['kind']} {each.get('name', '')}", json.dumps(each)) for each in messages]
+def _texts(grids: list[Grid]) -> Messages:
+    return [(f"grid {each['name']}", text_of(each)) for each in grids]

@@ -2,24 +2,27 @@
 
 import asyncio
 import heapq
-import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from operator import itemgetter
-from typing import Any
+from typing import Any, TypeVar
 
 from fieldkit.clock import RealClock
 from fieldkit.messages import Tick
 from fieldkit.recording.reader import Recording
 from mission.maps.background import background_or_none
+from mission.page.commands import Pause, Play, Question, Seek
+from mission.page.protocol import Heard, History, News, Note, Point, text_of
 from mission.page.server import Mailbox
-from mission.page.view import KEPT, SERIES_POINTS, TRACK_POINTS, View, number_or
+from mission.page.view import KEPT, SERIES_POINTS, View
 from mission.replay.replay import recorded_mission
 
 MOST_FRAMES = 4000
 """Frames kept; a recording longer than this many seconds gets one every few seconds."""
 PLAY_S = 0.2
 """Wall seconds between frames while playing."""
-FASTEST = 100.0
+SLOWEST, FASTEST = 0.1, 100.0
+
+Row = TypeVar("Row", Heard, Note, Point)
 
 
 class PastShow:
@@ -31,7 +34,7 @@ class PastShow:
         self.background = background_or_none(mission)
         view.background = None if self.background is None else self.background.described()
         if has_report:
-            view.files.append(["report", "report.html"])
+            view.files.append(("report", "report.html"))
         self.duration_s = float(recording.summary()["duration_s"])
         every_s = max(1.0, self.duration_s / MOST_FRAMES)
         self.frames: list[tuple[float, str]] = []
@@ -46,13 +49,13 @@ class PastShow:
             frame = view.frame()
             if frame["t_s"] >= next_s:
                 next_s = frame["t_s"] + every_s
-                self.frames.append((frame["t_s"], json.dumps(frame)))
-                self.grids += [(frame["t_s"], each["name"], json.dumps(each)) for each in view.grids()]
+                self.frames.append((frame["t_s"], text_of(frame)))
+                self.grids += [(frame["t_s"], each["name"], text_of(each)) for each in view.grids()]
         last = view.frame()  # what came with the last tick, and after it
-        self.frames.append((last["t_s"], json.dumps(last)))
-        self.grids += [(last["t_s"], each["name"], json.dumps(each)) for each in view.grids()]
+        self.frames.append((last["t_s"], text_of(last)))
+        self.grids += [(last["t_s"], each["name"], text_of(each)) for each in view.grids()]
         self.view = view
-        self.hello = json.dumps(view.hello() | {"live": False, "duration_s": self.duration_s})
+        self.hello = text_of(view.past_hello(self.duration_s))
         self._players: dict[Mailbox, asyncio.Task[None]] = {}
         self._at_s: dict[Mailbox, float] = {}
 
@@ -64,17 +67,19 @@ class PastShow:
         self._stop(mailbox)
         self._at_s.pop(mailbox, None)
 
-    def asked(self, mailbox: Mailbox, question: dict[str, Any]) -> None:
-        """`seek` to a time, `play` at a rate, `pause`."""
-        kind = question.get("kind")
-        if kind == "seek":
-            self._seek(mailbox, number_or(question.get("t_s"), self.duration_s))
-        elif kind == "play":
-            self._stop(mailbox)
-            rate = min(max(number_or(question.get("rate"), 1.0), 0.1), FASTEST)
-            self._players[mailbox] = asyncio.create_task(self._play(mailbox, rate))
-        elif kind == "pause":
-            self._stop(mailbox)
+    def asked(self, mailbox: Mailbox, question: Question) -> None:
+        """Go to a time, play from there, stop playing."""
+        match question:
+            case Seek(t_s=t_s):
+                self._seek(mailbox, t_s)
+            case Play(rate=rate):
+                self._stop(mailbox)
+                rate = min(max(rate, SLOWEST), FASTEST)
+                self._players[mailbox] = asyncio.create_task(self._play(mailbox, rate))
+            case Pause():
+                self._stop(mailbox)
+            case _:
+                pass
 
     def _stop(self, mailbox: Mailbox) -> None:
         if (task := self._players.pop(mailbox, None)) is not None:
@@ -92,14 +97,16 @@ class PastShow:
         t_s = min(max(t_s, 0.0), self.duration_s)
         self._at_s[mailbox] = t_s
         view = self.view
-        history = {
+        history: History = {
             "kind": "history",
-            "tracks": {name: _until(track, t_s, 0, TRACK_POINTS) for name, track in view.tracks.items()},
-            "series": _until(view.series, t_s, "t_s", SERIES_POINTS),
-            "detections": _until(view.detections, t_s, "t_s", KEPT),
-            "notes": _until(view.notes, t_s, "t_s", KEPT),
+            "tracks": {
+                name: [point for point in track if point[0] <= t_s] for name, track in view.tracks.items()
+            },
+            "series": _until(view.series, t_s, SERIES_POINTS),
+            "detections": _until(view.detections, t_s, KEPT),
+            "notes": _until(view.notes, t_s, KEPT),
         }
-        mailbox.put("history", json.dumps(history))
+        mailbox.put("history", text_of(history))
         for name in ("belief", "exposure"):
             texts = [text for at_s, called, text in self.grids if called == name and at_s <= t_s]
             if texts:
@@ -116,13 +123,13 @@ class PastShow:
         passed = [text for at_s, text in self.frames if before_s < at_s <= t_s]
         if passed:
             mailbox.put("frame", passed[-1])
-        for name, rows in (("detection", self.view.detections), ("note", self.view.notes)):
-            for row in rows:
-                if before_s < row["t_s"] <= t_s:
-                    mailbox.add(json.dumps({"kind": "news", name: row}))
-        for row in self.view.series:
-            if before_s < row["t_s"] <= t_s:
-                mailbox.add(json.dumps({"kind": "news", "point": row}))
+        view = self.view
+        news: list[News] = []
+        news += [{"kind": "news", "detection": row} for row in _between(view.detections, before_s, t_s)]
+        news += [{"kind": "news", "note": row} for row in _between(view.notes, before_s, t_s)]
+        news += [{"kind": "news", "point": row} for row in _between(view.series, before_s, t_s)]
+        for each in news:
+            mailbox.add(text_of(each))
 
 
 def _stream(recording: Recording) -> Iterator[tuple[int, str, Any]]:
@@ -155,7 +162,10 @@ def _apply(view: View, entry: tuple[int, str, Any]) -> None:
             pass
 
 
-def _until(rows: Any, t_s: float, key: Any, most: int) -> list[Any]:
-    """The rows up to a time: the last `most`, or every so many where they are a line."""
-    early = [row for row in rows if row[key] <= t_s]
-    return early[-most:] if key == "t_s" else early
+def _until(rows: Iterable[Row], t_s: float, most: int) -> list[Row]:
+    """The last rows up to a time."""
+    return [row for row in rows if row["t_s"] <= t_s][-most:]
+
+
+def _between(rows: Iterable[Row], after_s: float, t_s: float) -> list[Row]:
+    return [row for row in rows if after_s < row["t_s"] <= t_s]

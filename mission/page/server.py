@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import hmac
 import ipaddress
-import json
 import logging
 import secrets
 import socket
@@ -31,7 +30,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from fieldkit import settings as given
 from fieldkit.errors import ConfigError
-from mission.page.commands import checked_command, message_of
+from mission.page.commands import Question, checked_command, message_of, number_of, question_of, token_of
+from mission.page.protocol import Answer, Rights, text_of
 
 logger = logging.getLogger(__name__)
 
@@ -66,7 +66,7 @@ class Show(Protocol):
 
     def close(self, mailbox: "Mailbox") -> None: ...
 
-    def asked(self, mailbox: "Mailbox", question: dict[str, Any]) -> None:
+    def asked(self, mailbox: "Mailbox", question: Question) -> None:
         """It asks for something else to see."""
         ...
 
@@ -80,7 +80,7 @@ class NothingLive:
     def close(self, mailbox: "Mailbox") -> None:
         """Nothing is kept."""
 
-    def asked(self, mailbox: "Mailbox", question: dict[str, Any]) -> None:
+    def asked(self, mailbox: "Mailbox", question: Question) -> None:
         """Nothing is answered."""
 
 
@@ -328,24 +328,23 @@ class Page:
                 return
             message = message_of(frame.get("text") or frame.get("bytes") or b"")
             if message.get("kind") == "token":
-                mailbox.may_command = may_command = self._is_token(message.get("token"))
-                said = {"kind": "rights", "may_command": may_command, "wrong_token": not may_command}
-                mailbox.put("rights", json.dumps(said))
+                mailbox.may_command = may_command = self._is_token(token_of(message))
+                said: Rights = {"kind": "rights", "may_command": may_command, "wrong_token": not may_command}
+                mailbox.put("rights", text_of(said))
             elif message.get("kind") == "command":
                 self._command(message, may_command, mailbox)
-            else:
-                self._show.asked(mailbox, message)
+            elif (question := question_of(message)) is not None:
+                self._show.asked(mailbox, question)
 
-    def _is_token(self, given: object) -> bool:
-        if not isinstance(given, str) or self._on_command is None:
+    def _is_token(self, given: str) -> bool:
+        if self._on_command is None:
             return False
         return hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode())
 
     def _command(self, message: dict[str, Any], may_command: bool, mailbox: Mailbox) -> None:
-        number = message.get("number")
-        answer = {
+        answer: Answer = {
             "kind": "answer",
-            "number": number if isinstance(number, int) else None,
+            "number": number_of(message),
             "ok": False,
             "text": "",
         }
@@ -357,7 +356,7 @@ class Page:
         else:
             answer["text"] = self._on_command(command)
             answer["ok"] = not answer["text"]
-        mailbox.add(json.dumps(answer))
+        mailbox.add(text_of(answer))
 
 
 async def _send(websocket: WebSocket, mailbox: Mailbox) -> None:

@@ -12,7 +12,6 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -20,6 +19,7 @@ from starlette.responses import JSONResponse, Response
 from fieldkit import settings as given
 from fieldkit.errors import DataError, FieldkitError, RecordingError
 from fieldkit.recording.reader import Recording, is_later_part, open_recording
+from mission.page.protocol import Failed, OpenedRun, Run, Runs, UnreadRun
 from mission.page.server import NothingLive, Page
 
 MOST_LISTED = 500
@@ -36,7 +36,7 @@ class Shelf:
         if not folder.is_dir():
             raise DataError(f"{folder}: no such folder")
         self._folder, self._opener = folder, opener
-        self._known: dict[Path, tuple[tuple[int, int], dict[str, Any]]] = {}
+        self._known: dict[Path, tuple[tuple[int, int], Run | UnreadRun]] = {}
         """What was found out of a file, and of which state of it (bytes, time of change)."""
         self._open: OrderedDict[str, tuple[AbstractContextManager[Page], Page]] = OrderedDict()
         self._one_at_a_time = asyncio.Lock()
@@ -57,17 +57,17 @@ class Shelf:
         while self._open:
             self._open.popitem()[1][0].__exit__(None, None, None)
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Run | UnreadRun]:
         """The newest first."""
         files = [path for path in self._folder.rglob("*.mcap") if not is_later_part(path)]
         rows = [self._row(path) for path in sorted(files, reverse=True)[:MOST_LISTED]]
-        return sorted(rows, key=lambda row: row.get("start_ns") or 0, reverse=True)
+        return sorted(rows, key=_start_ns, reverse=True)
 
-    def _row(self, path: Path) -> dict[str, Any]:
+    def _row(self, path: Path) -> Run | UnreadRun:
         stat = path.stat()
         state = (stat.st_size, stat.st_mtime_ns)
         if path not in self._known or self._known[path][0] != state:
-            self._known[path] = state, {"name": path.relative_to(self._folder).as_posix()} | _look(path)
+            self._known[path] = state, _look(path, path.relative_to(self._folder).as_posix())
         return self._known[path][1]
 
     def open(self, name: str) -> str:
@@ -85,7 +85,8 @@ class Shelf:
     async def _list(self, request: Request) -> Response:
         async with self._one_at_a_time:
             rows = await asyncio.to_thread(self.rows)
-        return JSONResponse({"folder": str(self._folder.absolute()), "runs": rows})
+        runs: Runs = {"folder": str(self._folder.absolute()), "runs": rows}
+        return JSONResponse(runs)
 
     async def _chosen(self, request: Request) -> Response:
         try:
@@ -93,23 +94,34 @@ class Shelf:
             if not isinstance(name, str):
                 raise ValueError
         except (ValueError, KeyError, TypeError):
-            return JSONResponse({"error": "expected {name}"}, 400)
+            return _refused("expected {name}")
         try:
             async with self._one_at_a_time:
-                return JSONResponse({"address": await asyncio.to_thread(self.open, name)})
+                opened: OpenedRun = {"address": await asyncio.to_thread(self.open, name)}
         except FieldkitError as error:
-            return JSONResponse({"error": str(error)}, 400)
+            return _refused(str(error))
+        return JSONResponse(opened)
 
 
-def _look(path: Path) -> dict[str, Any]:
+def _refused(text: str) -> Response:
+    failed: Failed = {"error": text}
+    return JSONResponse(failed, 400)
+
+
+def _start_ns(row: Run | UnreadRun) -> int:
+    return 0 if "error" in row else row["start_ns"] or 0
+
+
+def _look(path: Path, name: str) -> Run | UnreadRun:
     """What a line says of a recording, or what is wrong with it."""
     try:
         recording = open_recording(path)
         said = recording.summary()
         result = recording.result() if recording.complete else None
     except (RecordingError, OSError) as error:
-        return {"error": str(error)}
+        return {"name": name, "error": str(error)}
     return {
+        "name": name,
         "start_ns": said["start_ns"],
         "duration_s": round(said["duration_s"], 1),
         "bytes": said["bytes"],

@@ -5,14 +5,11 @@ A `View` is a `Follower`. `frame` is the present, `history` what a browser that 
 Lists are bounded: long ones are thinned, so that a day costs no more memory than an hour.
 """
 
-import base64
-import contextlib
 import math
 import re
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -35,12 +32,30 @@ from fieldkit.messages import (
     VehicleState,
 )
 from mission.core.mission_file import Mission
+from mission.maps.background import BackgroundShown
 from mission.maps.present import Latest
 from mission.page.exposure import Exposure
+from mission.page.grids import grid
+from mission.page.protocol import (
+    Frame,
+    Grid,
+    GridName,
+    Heard,
+    History,
+    LiveHello,
+    MarkedPlace,
+    News,
+    Note,
+    PastHello,
+    Place,
+    Point,
+    Robot,
+    SavedAs,
+    Source,
+    TrackPoint,
+)
 from mission.safety.monitor import Watched, reserve_of
 
-GRID_SIDE = 128
-"""Most cells along a side of a grid that is sent; larger ones are reduced, a block to its largest value."""
 TRACK_POINTS = 1500
 SERIES_POINTS = 600
 KEPT = 300
@@ -52,6 +67,9 @@ _NUMBERS = re.compile(r"\d+(\.\d+)?")
 Answers = Callable[[], Mapping[str, tuple[str, str]]]
 Alarms = Callable[[], Sequence[str]]
 """What the operator must know at once, in words, as long as it lasts."""
+Ordered = tuple[Literal["", "go to", "hold", "return"], str]
+"""A command, and where to or why."""
+Row = TypeVar("Row")
 
 
 class View:
@@ -65,9 +83,9 @@ class View:
         engine = mission.kernel.engine
         self._robots = {name: Watched(name) for name in engine.robots}
         self._seen_ns: dict[str, int] = {}
-        self._commands: dict[str, tuple[str, str]] = {}
+        self._commands: dict[str, Ordered] = {}
         self._calls: dict[str, str] = {}
-        self._paths: dict[str, list[list[float]]] = {}
+        self._paths: dict[str, list[Place]] = {}
         self._doing: dict[str, str] = {}
         self._sources: list[SourceEstimate] = []
         self._now_ns = 0
@@ -75,26 +93,26 @@ class View:
         self._left = 1.0
         self._count = 0
         self._end = ""
-        self._areas: list[list[tuple[float, float]]] = [list(p) for p in mission.file.field.keep_out]
-        self._marks: list[dict[str, Any]] = []
+        self._areas: list[list[Place]] = [list(p) for p in mission.file.field.keep_out]
+        self._marks: list[MarkedPlace] = []
         """Where people say that a transmitter is."""
-        self._targets: dict[str, list[float]] = {}
+        self._targets: dict[str, Place] = {}
         """Robot to the way-point it is sent to now."""
         self._exposure = Exposure(engine)
         self.latest = Latest(mission)
         """The present, for other maps."""
-        self.background: dict[str, Any] | None = None
-        self.files: list[list[str]] = [["GeoJSON", "sources.geojson"], ["KML", "present.kml"]]
-        """What can be saved of it: a word, and where it is answered."""
+        self.background: BackgroundShown | None = None
         """Pictures under the map."""
-        self.tracks: dict[str, list[tuple[float, float, float]]] = {name: [] for name in engine.robots}
-        """Robot to (s, east, north), thinned."""
-        self.series: list[dict[str, Any]] = []
+        self.files: list[SavedAs] = [("GeoJSON", "sources.geojson"), ("KML", "present.kml")]
+        self.tracks: dict[str, list[TrackPoint]] = {name: [] for name in engine.robots}
+        """Robot to its places, thinned."""
+        self.series: list[Point] = []
         """Over time: probability that one is left, and of each source."""
-        self.detections: deque[dict[str, Any]] = deque(maxlen=kept)
-        self.notes: deque[dict[str, Any]] = deque(maxlen=kept)
-        self._news: deque[dict[str, Any]] = deque(maxlen=kept or 10_000)
-        self._grids: dict[str, dict[str, Any]] = {}
+        self.detections: deque[Heard] = deque(maxlen=kept)
+        self.notes: deque[Note] = deque(maxlen=kept)
+        self._news: deque[News] = deque(maxlen=kept or 10_000)
+        self._grids: dict[GridName, Grid] = {}
+        self._changed: set[GridName] = set()
 
     # -- a follower ------------------------------------------------------------------------------------------
 
@@ -133,7 +151,7 @@ class View:
         match command:
             case GoTo(_, _, waypoint):
                 self._commands[robot.name] = ("go to", f"{waypoint.east_m:.1f}, {waypoint.north_m:.1f} m")
-                self._targets[robot.name] = [round(waypoint.east_m, 2), round(waypoint.north_m, 2)]
+                self._targets[robot.name] = (round(waypoint.east_m, 2), round(waypoint.north_m, 2))
             case Hold(_, _, reason):
                 same = _is_same(self._commands.get(robot.name), ("hold", reason))
                 if not same and not reason.startswith("operator"):
@@ -157,9 +175,13 @@ class View:
             for robot, rss in zip(detection.robots, detection.rss_dbm, strict=True)
             if not math.isnan(rss)
         }
-        row = {"t_s": self._at_s(detection.t_ns), "heard_dbm": heard, "listening": list(detection.robots)}
+        row: Heard = {
+            "t_s": self._at_s(detection.t_ns),
+            "heard_dbm": heard,
+            "listening": list(detection.robots),
+        }
         self.detections.append(row)
-        self._news.append({"detection": row})
+        self._news.append({"kind": "news", "detection": row})
 
     def sources(self, inbox_number: int, log_time_ns: int, sources: Sequence[SourceEstimate]) -> None:
         """Take in what is believed of the sources."""
@@ -170,7 +192,7 @@ class View:
     def plan(self, inbox_number: int, log_time_ns: int, plan: Plan) -> None:
         """Take in a plan."""
         for robot, path in plan.paths.items():
-            self._paths[robot] = [[round(w.east_m, 2), round(w.north_m, 2)] for w in path]
+            self._paths[robot] = [(round(w.east_m, 2), round(w.north_m, 2)) for w in path]
         self._doing.update(plan.purpose)
 
     def belief(
@@ -192,12 +214,13 @@ class View:
             self._grids["exposure"] = grid(
                 "exposure", self._exposure.searched(), self._exposure.cell_m, scale=1.0
             )
+            self._changed |= self._grids.keys()
 
     def note(self, level: Any, text: str, log_time_ns: int = 0) -> None:
         """Take in a line of the log."""
-        row = {"t_s": self._at_s(log_time_ns or self._now_ns), "level": str(level), "text": text}
+        row: Note = {"t_s": self._at_s(log_time_ns or self._now_ns), "level": str(level), "text": text}
         self.notes.append(row)
-        self._news.append({"note": row})
+        self._news.append({"kind": "news", "note": row})
 
     def _announce(self, text: str, log_time_ns: int) -> None:
         """A decision of safety's among the notes; the recording has it as a command."""
@@ -208,16 +231,17 @@ class View:
 
     # -- what is shown ---------------------------------------------------------------------------------------
 
-    def hello(self) -> dict[str, Any]:
+    def hello(self) -> LiveHello:
         """What does not change: the field, the robots, their teams."""
         field = self.mission.file.field
         return {
             "kind": "hello",
+            "live": True,
             "mission": self.mission.file.name,
             "field": {
                 "east_m": field.size_east_m,
                 "north_m": field.size_north_m,
-                "fence_m": [list(corner) for corner in self.mission.fence_m],
+                "fence_m": [(east_m, north_m) for east_m, north_m in self.mission.fence_m],
                 "margin_m": self.mission.safety.fence_margin_m,
             },
             "robots": [
@@ -230,7 +254,11 @@ class View:
             "files": self.files,
         }
 
-    def frame(self) -> dict[str, Any]:
+    def past_hello(self, duration_s: float) -> PastHello:
+        """The same for a recording so long."""
+        return {**self.hello(), "live": False, "duration_s": duration_s}
+
+    def frame(self) -> Frame:
         """The present."""
         return {
             "kind": "frame",
@@ -245,40 +273,35 @@ class View:
             "alarms": list(self._alarms()),
         }
 
-    def grids(self) -> list[dict[str, Any]]:
+    def grids(self) -> list[Grid]:
         """Belief and exposure that have changed since this was last asked."""
-        changed = [each for each in self._grids.values() if not each.get("sent")]
-        for each in changed:
-            each["sent"] = True
-        return [{key: value for key, value in each.items() if key != "sent"} for each in changed]
+        changed, self._changed = self._changed, set()
+        return [each for name, each in self._grids.items() if name in changed]
 
-    def all_grids(self) -> list[dict[str, Any]]:
+    def all_grids(self) -> list[Grid]:
         """Belief and exposure as they are."""
-        return [{k: v for k, v in each.items() if k != "sent"} for each in self._grids.values()]
+        return list(self._grids.values())
 
     @property
     def now_s(self) -> float:
         """Seconds since the start."""
         return self._at_s(self._now_ns)
 
-    def news(self) -> list[dict[str, Any]]:
+    def news(self) -> list[News]:
         """Detections and notes since this was last asked."""
         news = list(self._news)
         self._news.clear()
         return news
 
-    def history(self) -> list[dict[str, Any]]:
-        """Messages that bring a new browser up to date."""
-        return [
-            {
-                "kind": "history",
-                "tracks": {name: [list(p) for p in track] for name, track in self.tracks.items()},
-                "series": self.series,
-                "detections": list(self.detections),
-                "notes": list(self.notes),
-            },
-            *self.all_grids(),
-        ]
+    def history(self) -> History:
+        """What brings a new browser up to date, but for the grids."""
+        return {
+            "kind": "history",
+            "tracks": {name: list(track) for name, track in self.tracks.items()},
+            "series": self.series,
+            "detections": list(self.detections),
+            "notes": list(self.notes),
+        }
 
     # -- taking events ------------------------------------------------------------------------------------------
 
@@ -305,7 +328,7 @@ class View:
             self._mark(event)
             return
         if event.action == "exclude" and len(event.area_m) >= 3:
-            self._areas.append([tuple(corner) for corner in event.area_m])  # type: ignore[misc]
+            self._areas.append([(east_m, north_m) for east_m, north_m in event.area_m])
         for name, robot in self._robots.items():
             if event.robot not in (None, name):
                 continue
@@ -325,15 +348,15 @@ class View:
 
     def _point(self, t_ns: int) -> None:
         known = {str(s.ident): round(s.p_here, 3) for s in self._sources}
-        row = {"t_s": self._at_s(t_ns), "left": round(self._left, 4), "p": known}
+        row: Point = {"t_s": self._at_s(t_ns), "left": round(self._left, 4), "p": known}
         self.series.append(row)
-        self._news.append({"point": row})
+        self._news.append({"kind": "news", "point": row})
         thin(self.series, SERIES_POINTS)
 
     def _at_s(self, t_ns: int) -> float:
         return 0.0 if self._start_ns is None else round((t_ns - self._start_ns) * 1e-9, 2)
 
-    def _robot(self, robot: Watched) -> dict[str, Any]:
+    def _robot(self, robot: Watched) -> Robot:
         pose, vehicle, name = robot.pose, robot.vehicle, robot.name
         order, answer = self._answers().get(name, ("", ""))
         command, why = self._commands.get(name, ("", ""))
@@ -367,28 +390,27 @@ class View:
         }
 
 
-def _source(source: SourceEstimate) -> dict[str, Any]:
+def _source(source: SourceEstimate) -> Source:
     """A source with the half axes (m) of its 90 % ellipse, and their turn counter-clockwise from east (deg)."""
     values, vectors = np.linalg.eigh(source.cov_m2)
     a, b = NORMAL_90 * np.sqrt(np.maximum(values[::-1], 0.0))
     turn = math.degrees(math.atan2(vectors[1, 1], vectors[0, 1]))
-    plain = asdict(source)
     return {
         "ident": source.ident,
         "state": source.state,
         "east_m": round(source.east_m, 2),
         "north_m": round(source.north_m, 2),
-        "half_axes_m": [_finite(a), _finite(b)],
+        "half_axes_m": (_finite(a), _finite(b)),
         "turn_deg": round(turn, 1),
         "p": round(source.p_here, 3),
         "receptions": round(source.receptions, 1),
         "power_db": _finite(source.power_db),
-        "rate_hz": _finite(plain["rate_hz"], 4),
+        "rate_hz": _finite(source.rate_hz, 4),
         "note": source.note,
     }
 
 
-def _is_same(before: tuple[str, str] | None, now: tuple[str, str]) -> bool:
+def _is_same(before: Ordered | None, now: Ordered) -> bool:
     """Whether a command is the one before, but for its numbers: ages count up while nothing happens."""
     return before is not None and _NUMBERS.sub("", " ".join(before)) == _NUMBERS.sub("", " ".join(now))
 
@@ -397,38 +419,7 @@ def _finite(value: float, digits: int = 2) -> float | None:
     return round(float(value), digits) if math.isfinite(value) else None
 
 
-def grid(name: str, values: FloatArray, cell_m: float, scale: float | None = None) -> dict[str, Any]:
-    """A grid (n_north, n_east) as bytes, row 0 south: the square root of the share of `scale` or of its largest."""
-    block = max(1, math.ceil(max(values.shape) / GRID_SIDE))
-    if block > 1:
-        rows, columns = (-(-n // block) * block for n in values.shape)
-        padded = np.zeros((rows, columns))
-        padded[: values.shape[0], : values.shape[1]] = values
-        values = padded.reshape(rows // block, block, columns // block, block).max(axis=(1, 3))
-    largest = float(np.nanmax(values)) if scale is None else scale
-    share = np.clip(np.nan_to_num(values) / largest, 0.0, 1.0) if largest > 0 else np.zeros_like(values)
-    data = np.round(255.0 * np.sqrt(share)).astype(np.uint8)
-    return {
-        "kind": "grid",
-        "name": name,
-        "n_east": int(values.shape[1]),
-        "n_north": int(values.shape[0]),
-        "cell_m": cell_m * block,
-        "largest": largest,
-        "data": base64.b64encode(data.tobytes()).decode("ascii"),
-    }
-
-
-def number_or(value: object, otherwise: float) -> float:
-    """A number that came from a browser, or else another."""
-    with contextlib.suppress(TypeError, ValueError):
-        number = float(value)  # type: ignore[arg-type]  # what is no number raises
-        if number == number:
-            return number
-    return otherwise
-
-
-def thin(rows: list[Any], most: int) -> None:
+def thin(rows: list[Row], most: int) -> None:
     """Drop every second of the older rows when there are too many: the shape stays, recent ones are all there."""
     if len(rows) > most:
         older = len(rows) * 3 // 4

@@ -23,8 +23,10 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from fieldkit.errors import FieldkitError
-from mission.maps.background import Picture
+from mission.maps.background import BackgroundShown, Picture
+from mission.page.protocol import Failed
 from mission.plan.desk import Desk
+from mission.plan.protocol import Draft
 
 Answer = Callable[[Request], Awaitable[Response]]
 LISTEN_S = 3.0
@@ -74,10 +76,8 @@ class PlanAnswers:
         return answered
 
     async def _state(self, request: Request) -> Response:
-        return self._now(self._desk.choices())
-
-    def _now(self, choices: dict[str, list[str]] | None = None) -> Response:
-        return JSONResponse(self._desk.state() | ({"choices": choices} if choices is not None else {}))
+        draft: Draft = {**self._desk.state(), "choices": self._desk.choices()}
+        return JSONResponse(draft)
 
     async def _change(self, request: Request) -> Response:
         body = await request.body()
@@ -87,16 +87,17 @@ class PlanAnswers:
         if not isinstance(form, dict):
             raise ValueError("expected a form")
         self._desk.change(form)
-        return self._now()
+        return JSONResponse(self._desk.state())
 
     async def _store(self, request: Request) -> Response:
         self._desk.store()
-        return self._now()
+        return JSONResponse(self._desk.state())
 
     async def _ground(self, request: Request) -> Response:
         background = await asyncio.to_thread(self._desk.background)
         self._pictures = {each.name: each for each in background.pictures} if background else {}
-        return JSONResponse(background.described("plan/ground") if background else {"pictures": []})
+        nothing: BackgroundShown = {"credit": "", "pictures": []}
+        return JSONResponse(background.described("plan/ground") if background else nothing)
 
     async def _picture(self, request: Request) -> Response:
         picture = self._pictures.get(request.path_params["name"])
@@ -144,4 +145,5 @@ async def _asked(*words: str) -> Response:
 
 
 def _refused(text: str, status: int) -> Response:
-    return JSONResponse({"error": text}, status)
+    failed: Failed = {"error": text}
+    return JSONResponse(failed, status)

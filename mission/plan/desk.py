@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from mission.core.template import mission_text
 from mission.maps.background import Background, Ground, background_of
 from mission.plan.draft import form_of, plain_field, with_form
 from mission.plan.judge import judge
+from mission.plan.protocol import Choices, Draft
 
 PICTURES = (".mbtiles", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 MOST_FILES = 200
@@ -31,18 +31,21 @@ class Desk:
         self.text = mission_text(name=self.path.stem, robots=()) if self._stored is None else self._stored
         form_of(self.text)
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> Draft:
         """All that the page shows of it."""
         return {
             "path": str(self.path),
             "form": form_of(self.text),
             "text": self.text,
-            "remarks": [asdict(each) for each in judge(self.text, self.path)],
+            "remarks": [
+                {"level": each.level, "key": each.key, "text": each.text}
+                for each in judge(self.text, self.path)
+            ],
             "stored": self.text == self._stored,
             "new": self._stored is None,
         }
 
-    def choices(self) -> dict[str, list[str]]:
+    def choices(self) -> Choices:
         """What there is to choose from: drivers, and files beside the mission file."""
         return {
             "receivers": plugins.names("fieldkit.receivers"),

@@ -1,7 +1,7 @@
 """A mission file as a form, and back: comments, order and whatever the form does not know stay as they are. Pure."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import tomlkit
 from tomlkit import TOMLDocument
@@ -9,28 +9,28 @@ from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, Table
 
 from fieldkit.errors import ConfigError
+from mission.plan.protocol import (
+    AntennaForm,
+    EndForm,
+    FieldForm,
+    Form,
+    SafetyForm,
+    SourcesForm,
+    TopForm,
+)
 
 FIELDS: dict[str, tuple[str, ...]] = {
-    "": ("name",),
-    "field": (
-        "origin_lat_deg",
-        "origin_lon_deg",
-        "size_east_m",
-        "size_north_m",
-        "cell_m",
-        "fence",
-        "keep_out",
-        "background",
-    ),
-    "antenna": ("file",),
-    "sources": ("rate_hz", "expected"),
-    "end": ("max_duration_s", "sources_found"),
-    "safety": ("max_speed_m_s", "min_separation_m", "fence_margin_m", "battery_reserve_pct"),
+    "": tuple(TopForm.__annotations__),
+    "field": tuple(FieldForm.__annotations__),
+    "antenna": tuple(AntennaForm.__annotations__),
+    "sources": tuple(SourcesForm.__annotations__),
+    "end": tuple(EndForm.__annotations__),
+    "safety": tuple(SafetyForm.__annotations__),
 }
 """Table to the keys that the form has; the first is the file's top."""
 
 
-def form_of(text: str) -> dict[str, Any]:
+def form_of(text: str) -> Form:
     """What the form shows of a mission file's text. Raises `ConfigError` where that is no TOML."""
     document = _parsed(text)
     plain = document.unwrap()
@@ -49,7 +49,7 @@ def form_of(text: str) -> dict[str, Any]:
         for each in robots
     ]
     shown["teams"] = [list(each.get("robots") or []) for each in _rows(plain.get("team"))]
-    return shown
+    return cast(Form, shown)
 
 
 def plain_field(text: str) -> Mapping[str, Any]:
@@ -63,7 +63,7 @@ def with_form(text: str, form: Mapping[str, Any]) -> str:
     Raises `ConfigError` where the text is no TOML or the form is not one of `form_of`'s kind.
     """
     document = _parsed(text)
-    before = form_of(text)
+    before = cast(dict[str, Any], form_of(text))
     for table, keys in FIELDS.items():
         values = _table(form.get(table or "top"))
         old = before[table or "top"]

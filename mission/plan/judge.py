@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from fieldkit.errors import FieldkitError
 from mission.core.advice import advise
@@ -20,7 +21,7 @@ SHOWN_SHARE = 0.99
 class Remark:
     """One thing to say of a draft."""
 
-    level: str
+    level: Literal["red", "amber"]
     """"red": it cannot be flown so; "amber": it can, but."""
     key: str
     """As in the file: "field.cell_m"; empty where it is about the whole."""
@@ -42,7 +43,7 @@ def judge(text: str, path: Path) -> list[Remark]:
     return remarks
 
 
-def _remark(level: str, line: str, path: Path) -> Remark:
+def _remark(level: Literal["red", "amber"], line: str, path: Path) -> Remark:
     said = line.removeprefix(f"{path}: ")
     if of_robot := OF_ROBOT.fullmatch(said):
         part, name, rest = of_robot.groups()

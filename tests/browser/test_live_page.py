@@ -190,7 +190,7 @@ def test_without_the_token_one_can_look_but_not_command(browser: Any, flown: Flo
         tab.keyboard.press("Space")
         tab.wait_for_selector("text=Only looking")
         said = tab.evaluate(
-            """async () => { const socket = await import('/socket.js'); return socket.command('hold', {}); }"""
+            """async () => { const socket = await import('/socket.js'); return socket.command({ action: 'hold' }); }"""
         )
         assert not said["ok"] and "token" in said["text"]
     assert not flown.operated

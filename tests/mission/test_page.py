@@ -21,9 +21,10 @@ from fieldkit.messages import (
     VehicleState,
 )
 from mission.lab.synthetic import small_mission
-from mission.page.commands import checked_command
+from mission.page.commands import Look, Seek, checked_command
 from mission.page.disk import DiskWords
 from mission.page.exposure import Exposure
+from mission.page.grids import grid
 from mission.page.live import PAST_EVERY_S, LiveShow
 from mission.page.server import (
     MOST_VIEWERS,
@@ -34,7 +35,7 @@ from mission.page.server import (
     is_own_origin,
     own_address,
 )
-from mission.page.view import View, grid, thin
+from mission.page.view import View, thin
 
 S = 1_000_000_000
 
@@ -217,11 +218,11 @@ def test_one_looks_back_at_a_mission_under_way(tmp_path: Path) -> None:
         show.event(2 * second, second * S, Pose(second * S, "r1", 0.1 * second, 4.0, 0.0, 90.0))
         show.event(2 * second + 1, second * S, Tick(second * S))
     mailbox = Mailbox()
-    for asked, most_s in ((20, 20.0), (-5, 1.0), (float("nan"), 60.0), (None, 60.0)):
-        show.asked(mailbox, {"kind": "look", "t_s": asked})
+    for asked_s, most_s in ((20.0, 20.0), (-5.0, 1.0), (1e300, 60.0)):
+        show.asked(mailbox, Look(kind="look", t_s=asked_s))
         past = json.loads(mailbox._newest["past"])
         assert past["kind"] == "past" and most_s - PAST_EVERY_S <= past["frame"]["t_s"] <= most_s
-    show.asked(mailbox, {"kind": "seek", "t_s": 3})
+    show.asked(mailbox, Seek(kind="seek", t_s=3.0))
     assert list(mailbox._newest) == ["past"]
 
 

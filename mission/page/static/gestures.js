@@ -1,18 +1,27 @@
+// @ts-check
 // Fingers, mouse and keys on the map: drag, pinch, wheel, and what is a tap.
 import { panBy, showWhole, zoomAt, zoomBy } from "./mapview.js";
 
+/** @import { Pixel } from "./mapview.js" */
 const TAP_PX = 8;
 const STEP_PX = 60;
 
 // `onView` is called when the map has been moved.
+/**
+ * @param {HTMLCanvasElement} canvas
+ * @param {{ onTap: (at: Pixel) => void, onMove: (at: Pixel | null) => void, onView?: () => void }} uses
+ */
 export function setUpGestures(canvas, { onTap, onMove, onView = () => {} }) {
+  /** @type {Map<number, Pixel>} */
   const down = new Map(); // pointers on the map
   let travelled = 0;
 
+  /** @type {(event: MouseEvent) => Pixel} */
   const at = (event) => {
     const box = canvas.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   };
+  /** @type {() => { middle: Pixel, apart: number }} */
   const spread = () => {
     const [a, b] = [...down.values()];
     return { middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], apart: Math.hypot(a[0] - b[0], a[1] - b[1]) };
@@ -54,10 +63,12 @@ export function setUpGestures(canvas, { onTap, onMove, onView = () => {} }) {
     onView();
   }, { passive: false });
   canvas.addEventListener("keydown", (event) => {
-    const act = {
+    /** @type {Record<string, () => void>} */
+    const acts = {
       ArrowLeft: () => panBy(STEP_PX, 0), ArrowRight: () => panBy(-STEP_PX, 0), ArrowUp: () => panBy(0, STEP_PX), ArrowDown: () => panBy(0, -STEP_PX),
       "+": () => zoomBy(1.4), "=": () => zoomBy(1.4), "-": () => zoomBy(1 / 1.4), 0: showWhole,
-    }[event.key];
+    };
+    const act = acts[event.key];
     if (act && !event.ctrlKey && !event.metaKey && !event.altKey) { event.preventDefault(); act(); onView(); }
   });
 }

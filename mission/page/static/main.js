@@ -1,4 +1,6 @@
+// @ts-check
 // Puts the parts together: messages in, one drawing per screen refresh at most, and the state of the connection.
+import { $, buttons, find } from "./dom.js";
 import { model } from "./model.js";
 import { element } from "./dom.js";
 import { connect, ask } from "./socket.js";
@@ -12,7 +14,9 @@ import { walk } from "./walk.js";
 import { setUpWhere } from "./where.js";
 import { notice, setUp, showRights } from "./commands.js";
 
-const $ = (id) => document.getElementById(id);
+/** @import { Sent } from "./protocol" */
+
+const slider = $("slider", HTMLInputElement);
 const SILENT_MS = 5000;
 const STALE_MS = 2000;
 const SLACK_MS = 500; // frames come every half second
@@ -20,11 +24,12 @@ const RING_MS = 1500;
 let filled = -1;
 let drawn = { asked: "", side: -1 }; // what the map was drawn for
 
+/** @param {Sent} message */
 function onMessage(message) {
   if (message.kind === "hello") {
     $("mission").textContent = message.mission;
     document.title = `${message.mission} · fieldkit`;
-    if (!message.live) { $("slider").max = Math.ceil(message.duration_s); ask({ kind: "seek", t_s: message.duration_s }); }
+    if (!message.live) { slider.max = String(Math.ceil(message.duration_s)); ask({ kind: "seek", t_s: message.duration_s }); }
     showRights();
     const files = message.files.map(([word, address]) => element("a", { href: address, download: address, textContent: word }));
     $("files").replaceChildren("Save: ", ...files);
@@ -34,8 +39,8 @@ function onMessage(message) {
     showRights();
     if (message.wrong_token) notice("The token is wrong: you can look, but not command. Open the address that was printed at the start.", true);
   }
-  if (message.kind === "frame" && !model.hello.live) {
-    if (document.activeElement !== $("slider")) $("slider").value = message.t_s;
+  if (message.kind === "frame" && model.hello && !model.hello.live) {
+    if (document.activeElement !== slider) slider.value = String(message.t_s);
     $("time").textContent = `${clock(message.t_s)} / ${clock(model.hello.duration_s)}`;
   }
 }
@@ -64,12 +69,14 @@ function showStale() {
 // drawn at once where a finger moves it.
 const EVERY_MS = { words: 200, map: 200, ring: 50, chart: 1000 };
 const last = { words: 0, map: 0, ring: 0, chart: 0 };
+/** @param {keyof typeof last} what @param {number} now_ms */
 function due(what, now_ms) {
   if (now_ms - last[what] < EVERY_MS[what]) return false;
   last[what] = now_ms;
   return true;
 }
 
+/** @param {number} now_ms */
 function refresh(now_ms) {
   if (model.version.side !== filled && model.frame && due("words", now_ms)) {
     filled = model.version.side;
@@ -83,13 +90,13 @@ function refresh(now_ms) {
   if (asked !== drawn.asked || stale || ring) { drawn = { asked, side: model.version.side }; draw(); }
   requestAnimationFrame(refresh);
 }
-const layer = () => document.querySelector("#layers input:checked").value;
+const layer = () => find(document, "#layers input:checked", HTMLInputElement).value;
 
-for (const button of document.querySelectorAll("#tabs button")) {
+for (const button of buttons("#tabs button")) {
   button.addEventListener("click", () => {
     for (const other of document.querySelectorAll("#tabs button, .tab")) other.classList.remove("on");
     button.classList.add("on");
-    $(button.dataset.tab).classList.add("on");
+    $(button.dataset.tab ?? "").classList.add("on");
     filled = -1;
   });
 }
@@ -102,4 +109,4 @@ setUpSound();
 connect(onMessage, showState);
 setInterval(() => { showState(); showStale(); }, 500);
 requestAnimationFrame(refresh);
-window.fieldkit = model; // for a look from the console
+Object.assign(window, { fieldkit: model }); // for a look from the console

@@ -1,20 +1,28 @@
+// @ts-check
 // The field in metres, north up: belief or what was searched, tracks, plans, sources with their 90 % region, robots.
-import { colourOf, model, shownFrame, shownGrid } from "./model.js";
-import { drawPicture, frameView, looking, X, Y, toMetres, toPixels } from "./mapview.js";
+import { $, find, fitCanvas, penOf } from "./dom.js";
+import { colourOf, isOld, model, placeOf, shownFrame, shownGrid } from "./model.js";
+import { drawPicture, frameView, looking, rounded, toMetres, toPixels, view, X, Y } from "./mapview.js";
 import { setUpGestures } from "./gestures.js";
 import { grouped, Places } from "./labels.js";
 import { measure, said } from "./measure.js";
 import { sureness } from "./words.js";
 
-const canvas = document.getElementById("map");
-const pen = canvas.getContext("2d");
-const $credit = document.getElementById("credit");
-const images = {};
-let view = null;
-let corners = []; // of an area being drawn, in metres
-let pointer = null;
-let css = {};
+/** @import { FieldShape, Frame, MarkedPlace, Robot, Source } from "./protocol" */
+/** @import { Pixel, Place } from "./mapview.js" */
+/** @import { Cells } from "./model.js" */
+/** @import { Group } from "./labels.js" */
 
+const canvas = $("map", HTMLCanvasElement);
+const pen = penOf(canvas);
+/** @type {Record<string, { grid: Cells, image: HTMLCanvasElement }>} */
+const images = {};
+/** @type {Place[]} */
+let corners = []; // of an area being drawn, in metres
+/** @type {Place | null} */
+let pointer = null;
+
+/** @type {{ at: Place | null }} */
 export const pin = { at: null }; // what the operator has asked about
 
 export const area = {
@@ -25,13 +33,14 @@ export const area = {
 };
 
 // Perceptually even ramps from clear to bright; drawn over the map's ground.
+/** @type {Record<Cells["name"], number[][]>} */
 const RAMPS = {
   belief: [[68, 30, 120, 0], [88, 48, 160, 150], [170, 60, 130, 215], [240, 110, 70, 235], [253, 200, 60, 245], [255, 250, 190, 255]],
   exposure: [[40, 120, 150, 0], [40, 120, 150, 60], [50, 150, 165, 110], [80, 185, 175, 150]],
 };
 
-function ramp(name) {
-  const stops = RAMPS[name];
+/** @param {number[][]} stops */
+function ramp(stops) {
   const table = new Uint8ClampedArray(256 * 4);
   for (let i = 0; i < 256; i += 1) {
     const at = (i / 255) * (stops.length - 1);
@@ -42,8 +51,9 @@ function ramp(name) {
   }
   return table;
 }
-const TABLES = { belief: ramp("belief"), exposure: ramp("exposure") };
+const TABLES = { belief: ramp(RAMPS.belief), exposure: ramp(RAMPS.exposure) };
 
+/** @param {Cells} grid */
 function imageOf(grid) {
   const known = images[grid.name];
   if (known && known.grid === grid) return known.image;
@@ -59,38 +69,38 @@ function imageOf(grid) {
       data.data.set(table.subarray(4 * cell, 4 * cell + 4), to);
     }
   }
-  image.getContext("2d").putImageData(data, 0, 0);
+  penOf(image).putImageData(data, 0, 0);
   images[grid.name] = { grid, image };
   return image;
 }
 
-function fit() {
-  const ratio = Math.min(window.devicePixelRatio || 1, 2);
-  const width = canvas.clientWidth;
-  const height = canvas.clientHeight;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  const field = model.hello.field;
-  view = frameView(width, height, field, shownFrame()?.robots ?? []);
-}
-
-function colours() {
+// The colours of the page's style.
+function coloursNow() {
   const style = getComputedStyle(document.documentElement);
-  const names = ["line", "text", "dim", "faint", "bad", "warn", "good", "accent", "found", "candidate", "inconsistent", "map"];
-  css = Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+  /** @param {string} name */
+  const of = (name) => style.getPropertyValue(`--${name}`).trim();
+  return {
+    line: of("line"), text: of("text"), dim: of("dim"), bad: of("bad"), accent: of("accent"), map: of("map"),
+    found: of("found"), candidate: of("candidate"), inconsistent: of("inconsistent"),
+  };
 }
-colours();
-matchMedia("(prefers-color-scheme: light)").addEventListener("change", colours);
+let css = coloursNow();
+/** @param {Source["state"]} state */
+const inkOf = (state) => (state === "found" || state === "candidate" ? css[state] : css.inconsistent);
+matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => { css = coloursNow(); });
 
+/** @param {Place[]} points @param {boolean} close */
 function path(points, close = false) {
   pen.beginPath();
   points.forEach(([east, north], index) => (index ? pen.lineTo(X(east), Y(north)) : pen.moveTo(X(east), Y(north))));
   if (close) pen.closePath();
 }
 
+// What is drawn twice: wide in the ground's colour, then in its own, so that it is seen on anything.
+/** @type {(colour: string, under: number, over: number) => [colour: string, width: number][]} */
+const outlined = (colour, under, over) => [[css.map, under], [colour, over]];
+
+/** @param {string} text @param {number} x @param {number} y @param {string} colour @param {string} font */
 function halo(text, x, y, colour, font = "600 12px system-ui") {
   pen.font = font;
   pen.lineWidth = 3;
@@ -102,9 +112,10 @@ function halo(text, x, y, colour, font = "600 12px system-ui") {
 }
 
 // Pictures of the ground, each by three of its corners.
+/** @type {Map<string, HTMLImageElement>} */
 const pictures = new Map();
 function drawBackground() {
-  for (const { url, corners_m } of model.hello.background?.pictures ?? []) {
+  for (const { url, corners_m } of model.hello?.background?.pictures ?? []) {
     let image = pictures.get(url);
     if (!image) {
       image = new Image();
@@ -116,16 +127,19 @@ function drawBackground() {
   }
 }
 
+/** @param {FieldShape} field */
 function drawAxes(field) { // Lines over the field; their numbers stay in sight.
-  const step = STEPS_M.find((s) => s * view.scale >= 62) ?? STEPS_M.at(-1);
+  const step = STEPS_M.find((s) => s * view.scale >= 62) ?? COARSEST_M;
   const [west, north] = toMetres([0, 0]);
   const [east, south] = toMetres([view.width, view.height]);
+  /** @param {number} low @param {number} high @param {number} most */
   const marks = (low, high, most) => {
     const from = Math.max(0, Math.ceil(low / step));
     const to = Math.floor(Math.min(most, high) / step + 1e-9);
     return Array.from({ length: Math.max(0, to - from + 1) }, (_, k) => (from + k) * step);
   };
   const [easts, norths] = [marks(west, east, field.east_m), marks(south, north, field.north_m)];
+  /** @param {number} value @param {number} least @param {number} most */
   const inside = (value, least, most) => Math.min(most, Math.max(least, value));
   pen.lineWidth = 1;
   pen.strokeStyle = css.line;
@@ -145,6 +159,7 @@ function drawAxes(field) { // Lines over the field; their numbers stay in sight.
   for (const n of norths) pen.fillText(`${+n.toFixed(1)}${n === 0 ? " m" : ""}`, inside(X(0) - 6, 30, view.width - 20), Y(n));
 }
 
+/** @param {FieldShape} field @param {string} layer */
 function drawGround(field, layer) {
   pen.clearRect(0, 0, view.width, view.height);
   drawBackground();
@@ -166,6 +181,7 @@ function drawGround(field, layer) {
   pen.stroke();
 }
 
+/** @param {Place[][]} areas */
 function drawAreas(areas) {
   for (const polygon of areas) {
     path(polygon, true);
@@ -185,8 +201,10 @@ function drawAreas(areas) {
   }
 }
 
+/** @param {Frame} frame */
 function drawTracks(frame) {
   for (const robot of frame.robots) {
+    const here = placeOf(robot);
     const track = (model.tracks[robot.name] ?? []).filter((point) => point[0] <= frame.t_s);
     const colour = colourOf(robot.name);
     pen.strokeStyle = colour;
@@ -198,9 +216,9 @@ function drawTracks(frame) {
       pen.globalAlpha = 0.85; pen.lineWidth = 2;
       path(track.slice(recent).map((p) => [p[1], p[2]])); pen.stroke();
     }
-    if (robot.path_m.length && robot.east_m !== null) {
+    if (robot.path_m.length && here) {
       pen.globalAlpha = 0.8; pen.lineWidth = 1.5; pen.setLineDash([2, 5]);
-      path([[robot.east_m, robot.north_m], ...robot.path_m]); pen.stroke();
+      path([here, ...robot.path_m]); pen.stroke();
       pen.setLineDash([]);
       const [east, north] = robot.path_m[robot.path_m.length - 1];
       pen.globalAlpha = 1;
@@ -210,9 +228,10 @@ function drawTracks(frame) {
   }
 }
 
+/** @param {Source} source @param {string} colour */
 function drawRegion(source, colour) { // Its 90 % region.
   const [a, b] = source.half_axes_m;
-  if (a === null || source.state === "removed") return;
+  if (a === null || b === null || source.state === "removed") return;
   pen.beginPath();
   pen.ellipse(X(source.east_m), Y(source.north_m), Math.max(2, a * view.scale), Math.max(2, b * view.scale), (-source.turn_deg * Math.PI) / 180, 0, 7);
   pen.strokeStyle = colour;
@@ -223,20 +242,23 @@ function drawRegion(source, colour) { // Its 90 % region.
   pen.globalAlpha = 0.12 * Math.min(1, 0.1 + 3 * source.p); pen.fillStyle = colour; pen.fill(); pen.globalAlpha = 1;
 }
 
+/** @type {Partial<Record<Source["state"], string>>} */
 const SHORT = { removed: "removed", inconsistent: "?", outside: "outside" };
+/** @param {Group} group */
 function wordsOf({ source, also }) {
   const sure = source.state === "found" ? sureness(source).replace(", 90 % sure", "") : `${Math.round(100 * source.p)} %`;
   return `${source.ident}  ${SHORT[source.state] ?? sure}${also.length ? `  (+${also.length} near)` : ""}`;
 }
 
 const NEAR_PX = 16;
+/** @param {Frame} frame @param {Places} places */
 function drawSources(frame, places) {
   const groups = grouped(frame.sources, toPixels, NEAR_PX);
-  for (const { source } of groups) drawRegion(source, css[source.state] ?? css.inconsistent);
+  for (const { source } of groups) drawRegion(source, inkOf(source.state));
   for (const { source, x, y } of groups) {
     const removed = source.state === "removed";
     pen.strokeStyle = css.map; pen.lineWidth = 5; cross(x, y, removed); pen.stroke();
-    pen.strokeStyle = css[source.state] ?? css.inconsistent; pen.lineWidth = 2.5; cross(x, y, removed); pen.stroke();
+    pen.strokeStyle = inkOf(source.state); pen.lineWidth = 2.5; cross(x, y, removed); pen.stroke();
     places.block(x, y, 8);
   }
   pen.textAlign = "left"; pen.textBaseline = "top";
@@ -244,17 +266,19 @@ function drawSources(frame, places) {
   for (const group of groups) { // what is found has the first choice of where its words go
     const text = wordsOf(group);
     const { left, top, free } = places.place(group.x, group.y, pen.measureText(text).width, 14);
-    if (free || group.source.state !== "candidate") halo(text, left, top, css[group.source.state] ?? css.inconsistent, "700 12px system-ui");
+    if (free || group.source.state !== "candidate") halo(text, left, top, inkOf(group.source.state), "700 12px system-ui");
   }
 }
+/** @param {number} x @param {number} y @param {boolean} turned */
 function cross(x, y, turned) {
   pen.beginPath();
   if (turned) { pen.moveTo(x - 6, y - 6); pen.lineTo(x + 6, y + 6); pen.moveTo(x + 6, y - 6); pen.lineTo(x - 6, y + 6); return; }
   pen.moveTo(x - 8, y); pen.lineTo(x + 8, y); pen.moveTo(x, y - 8); pen.lineTo(x, y + 8);
 }
 
+/** @param {MarkedPlace[]} marks */
 function drawMarks(marks) { // A person's word: a flag.
-  for (const mark of marks ?? []) {
+  for (const mark of marks) {
     const [x, y] = [X(mark.east_m), Y(mark.north_m)];
     pen.beginPath(); pen.moveTo(x, y); pen.lineTo(x, y - 20); pen.lineTo(x + 13, y - 15); pen.lineTo(x, y - 10);
     pen.strokeStyle = css.map; pen.lineWidth = 5; pen.stroke();
@@ -264,29 +288,34 @@ function drawMarks(marks) { // A person's word: a flag.
   }
 }
 
+/** @param {Frame} frame */
 function drawHearing(frame) { // A ring runs out from each robot that has just heard something.
   const now = performance.now();
-  const places = Object.fromEntries(frame.robots.map((robot) => [robot.name, robot]));
+  const places = new Map(frame.robots.map((robot) => [robot.name, placeOf(robot)]));
   for (const heard of model.detections.slice(-8)) {
     const age = heard.seenAt ? (now - heard.seenAt) / 1400 : 1;
     if (age >= 1) continue;
     for (const name of Object.keys(heard.heard_dbm)) {
-      const robot = places[name];
-      if (!robot || robot.east_m === null) continue;
+      const place = places.get(name);
+      if (!place) continue;
       pen.beginPath();
-      pen.arc(X(robot.east_m), Y(robot.north_m), 9 + 26 * age, 0, 7);
+      pen.arc(...toPixels(place), 9 + 26 * age, 0, 7);
       pen.globalAlpha = 1 - age; pen.lineWidth = 2.5; pen.strokeStyle = css.text; pen.stroke(); pen.globalAlpha = 1;
     }
   }
 }
 
+/** @param {Robot} robot */
+const isLost = (robot) => !robot.link_up || isOld(robot);
+
+/** @param {Frame} frame @param {Places} places */
 function drawRobots(frame, places) {
   for (const robot of frame.robots) {
-    if (robot.east_m === null) continue;
-    places.block(X(robot.east_m), Y(robot.north_m), 11);
-    const x = X(robot.east_m);
-    const y = Y(robot.north_m);
-    const lost = !robot.link_up || robot.pose_age_s > model.hello.pose_timeout_s;
+    const here = placeOf(robot);
+    if (!here) continue;
+    const [x, y] = toPixels(here);
+    places.block(x, y, 11);
+    const lost = isLost(robot);
     pen.save();
     pen.translate(x, y);
     if (robot.call || lost) {
@@ -301,17 +330,21 @@ function drawRobots(frame, places) {
   pen.textAlign = "left"; pen.textBaseline = "top";
   pen.font = "600 12px system-ui";
   for (const robot of frame.robots) {
-    if (robot.east_m === null) continue;
-    const bad = robot.call || !robot.link_up || robot.pose_age_s > model.hello.pose_timeout_s;
+    const here = placeOf(robot);
+    if (!here) continue;
+    const bad = robot.call || isLost(robot);
     const name = shortName(robot.name);
-    const { left, top } = places.place(X(robot.east_m), Y(robot.north_m), pen.measureText(name).width, 14, 10);
+    const { left, top } = places.place(...toPixels(here), pen.measureText(name).width, 14, 10);
     halo(name, left, top, bad ? css.bad : css.text);
   }
 }
+/** @param {string} name */
 const shortName = (name) => (name.length > 16 ? `${name.slice(0, 15)}…` : name);
 
 const STEPS_M = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000];
+const COARSEST_M = 20000;
 
+/** @param {number} pixelsPerMetre */
 export function scaleOf(pixelsPerMetre) { // the longest round length that fits beside the map's corner
   return STEPS_M.filter((length) => length * pixelsPerMetre <= 130).at(-1) ?? STEPS_M[0];
 }
@@ -320,7 +353,7 @@ function drawNorthAndScale() {
   const length = scaleOf(view.scale);
   const right = view.width - 16;
   const [left, y] = [right - length * view.scale, view.height - 6];
-  for (const [colour, width] of [[css.map, 6], [css.text, 2]]) {
+  for (const [colour, width] of outlined(css.text, 6, 2)) {
     pen.strokeStyle = colour; pen.lineWidth = width;
     pen.beginPath();
     pen.moveTo(left, y - 5); pen.lineTo(left, y); pen.lineTo(right, y); pen.lineTo(right, y - 5);
@@ -339,7 +372,7 @@ function drawNorthAndScale() {
 function drawPin() {
   if (!pin.at) return;
   const [x, y] = [X(pin.at[0]), Y(pin.at[1])];
-  for (const [colour, width] of [[css.map, 5], [css.accent, 2]]) {
+  for (const [colour, width] of outlined(css.accent, 5, 2)) {
     pen.strokeStyle = colour; pen.lineWidth = width;
     pen.beginPath(); pen.arc(x, y, 7, 0, 7); pen.moveTo(x - 12, y); pen.lineTo(x - 3, y); pen.moveTo(x + 3, y); pen.lineTo(x + 12, y);
     pen.moveTo(x, y - 12); pen.lineTo(x, y - 3); pen.moveTo(x, y + 3); pen.lineTo(x, y + 12);
@@ -360,20 +393,22 @@ function drawArea() {
 function drawMeasure() {
   const points = measure.points.length === 1 && pointer ? [...measure.points, pointer] : measure.points;
   if (!points.length) return;
-  for (const [colour, width] of [[css.map, 6], [css.accent, 2.5]]) { path(points); pen.strokeStyle = colour; pen.lineWidth = width; pen.stroke(); }
+  for (const [colour, width] of outlined(css.accent, 6, 2.5)) { path(points); pen.strokeStyle = colour; pen.lineWidth = width; pen.stroke(); }
   for (const [east, north] of points) { pen.beginPath(); pen.arc(X(east), Y(north), 4, 0, 7); pen.fillStyle = css.accent; pen.fill(); }
   if (points.length < 2) return;
   pen.textAlign = "center"; pen.textBaseline = "bottom";
-  const [x, y] = [0, 1].map((k) => (toPixels(points[0])[k] + toPixels(points[1])[k]) / 2);
-  halo(said(...points), x, y - 8, css.text, "700 13px system-ui");
+  const [from, to] = points;
+  const [[x, y], [x2, y2]] = [toPixels(from), toPixels(to)];
+  halo(said(from, to), (x + x2) / 2, (y + y2) / 2 - 8, css.text, "700 13px system-ui");
 }
 
 export function draw() {
   if (!model.hello || canvas.clientWidth === 0) return;
-  fit();
-  const layer = document.querySelector("#layers input:checked").value;
-  drawGround(model.hello.field, layer);
+  fitCanvas(canvas, pen);
   const frame = shownFrame();
+  frameView(canvas.clientWidth, canvas.clientHeight, model.hello.field, frame?.robots ?? []);
+  const layer = find(document, "#layers input:checked", HTMLInputElement).value;
+  drawGround(model.hello.field, layer);
   if (frame) {
     const places = new Places(view.width, view.height);
     drawAreas(frame.areas_m);
@@ -388,30 +423,36 @@ export function draw() {
   drawMeasure();
   drawNorthAndScale();
   const grid = shownGrid(layer);
-  $credit.textContent = model.hello.background?.credit ?? "";
-  document.getElementById("legend").textContent = !grid ? "" : layer === "belief"
+  $("credit").textContent = model.hello.background?.credit ?? "";
+  $("legend").textContent = !grid ? "" : layer === "belief"
     ? `source in a cell: up to ${+(100 * grid.largest).toPrecision(2)} %`
     : "a source there would have been heard";
 }
 
 const HIT_PX = 16;
+/** @typedef {{ place: Place, source?: Source, robot?: Robot }} Thing */
+/** @param {Pixel} pixel */
 function hit([x, y]) { // The source or robot under a finger, the nearest first.
   const frame = shownFrame();
   if (!frame) return null;
-  const things = [
-    ...frame.sources.map((source) => ({ source, east_m: source.east_m, north_m: source.north_m })),
-    ...frame.robots.filter((robot) => robot.east_m !== null).map((robot) => ({ robot, east_m: robot.east_m, north_m: robot.north_m })),
-  ];
-  const far = (thing) => Math.hypot(X(thing.east_m) - x, Y(thing.north_m) - y);
+  /** @type {Thing[]} */
+  const things = frame.sources.map((source) => ({ source, place: [source.east_m, source.north_m] }));
+  for (const robot of frame.robots) {
+    const place = placeOf(robot);
+    if (place) things.push({ robot, place });
+  }
+  /** @param {Thing} thing */
+  const far = (thing) => Math.hypot(X(thing.place[0]) - x, Y(thing.place[1]) - y);
   const nearest = things.sort((a, b) => far(a) - far(b))[0];
   return nearest && far(nearest) <= HIT_PX ? nearest : null;
 }
 
+/** @type {{ onPlace: (...place: Place) => void, onSource: (source: Source) => void, onRobot: (robot: Robot) => void }} */
 export const taps = { onPlace() {}, onSource() {}, onRobot() {} }; // what others do about them
 setUpGestures(canvas, {
   onTap(pixel) {
-    if (!view) return;
-    const place = toMetres(pixel).map((value) => +value.toFixed(2));
+    if (!model.hello) return;
+    const place = rounded(toMetres(pixel));
     if (area.drawing) { corners.push(place); return; }
     if (measure.on) { measure.take(place); model.version.grids += 1; return; }
     const thing = hit(pixel);
@@ -420,7 +461,7 @@ setUpGestures(canvas, {
     else taps.onPlace(...place);
   },
   onMove(pixel) {
-    pointer = pixel && view && (area.drawing || measure.on) ? toMetres(pixel) : null;
+    pointer = pixel && model.hello && (area.drawing || measure.on) ? toMetres(pixel) : null;
     if (measure.points.length === 1) model.version.grids += 1;
   },
 });

@@ -1,10 +1,21 @@
+// @ts-check
 // Where the map looks: metres to pixels and back. Zoom 1 shows the whole field; a robot may be followed.
+/** @import { FieldShape, Robot } from "./protocol" */
+/** @typedef {[east: number, north: number]} Place */
+/** @typedef {[x: number, y: number]} Pixel */
+/** @typedef {[upperLeft: Place, upperRight: Place, lowerLeft: Place]} Corners of a picture */
+/**
+ * What of the field is in sight: pixel (x, y) shows (east, north); `whole` and `scale` are pixels a metre.
+ * @typedef {{ width: number, height: number, whole: number, scale: number, east: number, north: number, x: number, y: number }} MapView
+ */
 const MOST_ZOOM = 400;
 const LEAST_ZOOM = 0.2;
 const PAD = { left: 44, right: 18, top: 54, bottom: 50 }; // axis labels, and the switch for the layers
 
+/** @type {{ zoom: number, east: number | null, north: number | null, following: string, version: number }} */
 const camera = { zoom: 1, east: null, north: null, following: "", version: 0 };
-let view = null;
+/** @type {MapView} */
+export let view = { width: 0, height: 0, whole: 0, scale: 0, east: 0, north: 0, x: 0, y: 0 }; // of a map that is not drawn yet
 
 export const looking = {
   get version() { return camera.version; },
@@ -12,12 +23,21 @@ export const looking = {
   get isWhole() { return camera.zoom === 1 && camera.east === null && !camera.following; },
 };
 
+/** @param {number} east */
 export const X = (east) => view.x + (east - view.east) * view.scale;
+/** @param {number} north */
 export const Y = (north) => view.y - (north - view.north) * view.scale;
+/** @type {(place: Place) => Pixel} */
 export const toPixels = ([east, north]) => [X(east), Y(north)];
+/** @type {(pixel: Pixel) => Place} */
 export const toMetres = ([x, y]) => [view.east + (x - view.x) / view.scale, view.north - (y - view.y) / view.scale];
 
-// The view for a canvas of so many pixels; `robots` are those of the frame shown.
+// To the centimetre, as people say a place.
+/** @type {(place: Place) => Place} */
+export const rounded = ([east, north]) => [+east.toFixed(2), +north.toFixed(2)];
+
+// Frames `view` for a canvas of so many pixels; `robots` are those of the frame shown.
+/** @param {number} width @param {number} height @param {Pick<FieldShape, "east_m" | "north_m">} field @param {Robot[]} robots */
 export function frameView(width, height, field, robots) {
   const room = { east: width - PAD.left - PAD.right, north: height - PAD.top - PAD.bottom };
   const whole = Math.min(room.east / field.east_m, room.north / field.north_m);
@@ -28,11 +48,11 @@ export function frameView(width, height, field, robots) {
     east: camera.east ?? field.east_m / 2, north: camera.north ?? field.north_m / 2,
     x: PAD.left + room.east / 2, y: PAD.top + room.north / 2,
   };
-  return view;
 }
 
+/** @param {number} dx @param {number} dy */
 export function panBy(dx, dy) {
-  if (!view) return;
+  if (!view.scale) return;
   camera.following = "";
   camera.east = view.east - dx / view.scale;
   camera.north = view.north + dy / view.scale;
@@ -41,8 +61,9 @@ export function panBy(dx, dy) {
 }
 
 // What lies under the pixel stays under it.
+/** @param {Pixel} pixel @param {number} factor */
 export function zoomAt([x, y], factor) {
-  if (!view) return;
+  if (!view.scale) return;
   const zoom = Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, camera.zoom * factor));
   const [east, north] = toMetres([x, y]);
   camera.zoom = zoom;
@@ -55,18 +76,21 @@ export function zoomAt([x, y], factor) {
   camera.version += 1;
 }
 
-export function zoomBy(factor) { if (view) zoomAt([view.x, view.y], factor); }
+/** @param {number} factor */
+export function zoomBy(factor) { zoomAt([view.x, view.y], factor); }
 
 export function showWhole() {
   Object.assign(camera, { zoom: 1, east: null, north: null, following: "" });
   camera.version += 1;
 }
 
+/** @param {number} east @param {number} north */
 export function lookAt(east, north) {
   Object.assign(camera, { east, north, following: "" });
   camera.version += 1;
 }
 
+/** @param {string} name */
 export function follow(name) {
   camera.following = camera.following === name ? "" : name;
   if (camera.following && camera.zoom < 2) camera.zoom = 2;
@@ -74,6 +98,7 @@ export function follow(name) {
 }
 
 // A picture of the ground, placed by three of its corners: one affine map.
+/** @param {CanvasRenderingContext2D} pen @param {CanvasImageSource} image @param {number} width @param {number} height @param {Corners} corners */
 export function drawPicture(pen, image, width, height, [nw, ne, sw]) {
   const [x, y] = toPixels(nw);
   pen.save();

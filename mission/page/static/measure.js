@@ -1,10 +1,17 @@
+// @ts-check
 // Two taps on the map: how far, and in which direction.
+/** @import { Place } from "./mapview.js" */
+
 export const measure = {
-  on: false, points: [],
+  on: false,
+  /** @type {Place[]} */
+  points: [],
   toggle() { this.on = !this.on; this.points = []; },
+  /** @param {Place} point */
   take(point) { this.points = this.points.length === 2 ? [point] : [...this.points, point]; },
 };
 
+/** @param {Place} from @param {Place} to */
 export function said([east, north], [east2, north2]) {
   const [de, dn] = [east2 - east, north2 - north];
   const length = Math.hypot(de, dn);

@@ -1,31 +1,45 @@
+// @ts-check
 // The field that is being planned: its border, fence and closed areas, drawn by taps and moved by their corners.
-import { drawPicture, frameView, showWhole, toMetres, X, Y, zoomBy } from "./mapview.js";
+import { $, fitCanvas, penOf } from "./dom.js";
+import { drawPicture, frameView, rounded, showWhole, toMetres, X, Y, zoomBy } from "./mapview.js";
 import { setUpGestures } from "./gestures.js";
+/** @import { Corners, Pixel, Place } from "./mapview.js" */
+/** @typedef {{ east_m: number | null, north_m: number | null, fence: Place[] | null, keep_out: Place[][] }} Shape */
+/** @typedef {{ image: ImageBitmap, corners_m: Corners }} Drawn a picture that has come */
+/** @typedef {"fence" | "keep_out"} Kind of what is drawn */
 
-const canvas = document.getElementById("map");
-const pen = canvas.getContext("2d");
+const canvas = $("map", HTMLCanvasElement);
+const pen = penOf(canvas);
 const GRAB_PX = 16;
+/** @type {{ kind: Kind | "", corners: Place[] }} */
 export const drawing = { kind: "", corners: [] };
+/** @type {Place | null} */
 let pointer = null;
+/** @type {Shape} */
 let shape = { east_m: 25, north_m: 25, fence: null, keep_out: [] };
-let ground = { pictures: [], credit: "" };
+/** @type {Drawn[]} */
+let ground = []; // pictures under it
 let onMoved = () => {};
 
+/** @param {string} name */
 const ink = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
+/** @param {Place[]} points @param {boolean} close */
 function path(points, close) {
   pen.beginPath();
   points.forEach(([east, north], index) => (index ? pen.lineTo(X(east), Y(north)) : pen.moveTo(X(east), Y(north))));
   if (close) pen.closePath();
 }
 
-function polygon(points, colour, { close = true, dots = true } = {}) {
-  path(points, close && points.length > 2);
+/** @param {Place[]} points @param {string} colour */
+function polygon(points, colour) {
+  path(points, points.length > 2);
   pen.strokeStyle = colour; pen.lineWidth = 2; pen.stroke();
   pen.fillStyle = colour; pen.globalAlpha = 0.14; pen.fill(); pen.globalAlpha = 1;
-  if (dots) for (const [east, north] of points) { pen.beginPath(); pen.arc(X(east), Y(north), 5, 0, 7); pen.fill(); }
+  for (const [east, north] of points) { pen.beginPath(); pen.arc(X(east), Y(north), 5, 0, 7); pen.fill(); }
 }
 
+/** @param {string} text @param {number} x @param {number} y */
 function write(text, x, y) {
   pen.strokeStyle = ink("panel"); pen.lineWidth = 3; pen.lineJoin = "round"; pen.strokeText(text, x, y);
   pen.fillText(text, x, y);
@@ -33,24 +47,23 @@ function write(text, x, y) {
 
 export function draw() {
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-  if (!width || !(shape.east_m > 0) || !(shape.north_m > 0)) return;
-  const ratio = Math.min(window.devicePixelRatio || 1, 2);
-  canvas.width = Math.round(width * ratio);
-  canvas.height = Math.round(height * ratio);
-  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  frameView(width, height, shape, []);
+  const { east_m, north_m } = shape;
+  if (!width || !east_m || !north_m || !(east_m > 0) || !(north_m > 0)) return;
+  fitCanvas(canvas, pen);
+  frameView(width, height, { east_m, north_m }, []);
   pen.clearRect(0, 0, width, height);
-  const border = [[0, 0], [shape.east_m, 0], [shape.east_m, shape.north_m], [0, shape.north_m]];
+  /** @type {Place[]} */
+  const border = [[0, 0], [east_m, 0], [east_m, north_m], [0, north_m]];
   path(border, true);
   pen.fillStyle = ink("panel"); pen.fill();
-  for (const { image, corners_m } of ground.pictures) drawPicture(pen, image, image.width, image.height, corners_m);
+  for (const { image, corners_m } of ground) drawPicture(pen, image, image.width, image.height, corners_m);
   path(border, true);
   pen.strokeStyle = ink("panel"); pen.lineWidth = 4; pen.stroke(); // also seen over a picture
   pen.strokeStyle = ink("text"); pen.lineWidth = 1.5; pen.stroke();
   pen.fillStyle = ink("text"); pen.font = "12px system-ui"; pen.textAlign = "center"; pen.textBaseline = "top";
-  write(`${shape.east_m} m`, X(shape.east_m / 2), Y(0) + 8);
+  write(`${east_m} m`, X(east_m / 2), Y(0) + 8);
   pen.textAlign = "right"; pen.textBaseline = "middle";
-  write(`${shape.north_m} m`, X(0) - 8, Y(shape.north_m / 2));
+  write(`${north_m} m`, X(0) - 8, Y(north_m / 2));
   if (shape.fence) polygon(shape.fence, ink("accent"));
   for (const area of shape.keep_out) polygon(area, ink("bad"));
   if (drawing.kind) {
@@ -59,18 +72,23 @@ export function draw() {
   }
 }
 
+/** @param {Drawn[]} pictures @param {string} credit */
 export function showGround(pictures, credit) {
-  ground = { pictures, credit };
-  document.getElementById("credit").textContent = credit;
+  ground = pictures;
+  $("credit").textContent = credit;
   draw();
 }
 
+/** @param {Shape} given */
 export function showShape(given) { shape = given; draw(); }
 
+/** @param {() => void} moved */
 export function setUpMap(moved) {
   onMoved = moved;
+  /** @type {{ points: Place[], index: number } | null} */
   let held = null;
   const polygons = () => [...(shape.fence ? [shape.fence] : []), ...shape.keep_out];
+  /** @param {Pixel} pixel */
   const cornerAt = ([x, y]) => {
     for (const points of polygons()) {
       const index = points.findIndex(([east, north]) => Math.hypot(X(east) - x, Y(north) - y) < GRAB_PX);
@@ -78,7 +96,6 @@ export function setUpMap(moved) {
     }
     return null;
   };
-  const rounded = (place) => place.map((value) => +value.toFixed(2));
   // A corner under the pointer is taken along; everything else moves the map.
   canvas.addEventListener("pointerdown", (event) => {
     const box = canvas.getBoundingClientRect();
@@ -103,9 +120,9 @@ export function setUpMap(moved) {
     onMove(pixel) { pointer = pixel && drawing.kind ? toMetres(pixel) : null; if (drawing.kind) draw(); },
     onView: draw,
   });
-  document.getElementById("zoom-in").addEventListener("click", () => { zoomBy(1.6); draw(); });
-  document.getElementById("zoom-out").addEventListener("click", () => { zoomBy(1 / 1.6); draw(); });
-  document.getElementById("zoom-whole").addEventListener("click", () => { showWhole(); draw(); });
+  $("zoom-in").addEventListener("click", () => { zoomBy(1.6); draw(); });
+  $("zoom-out").addEventListener("click", () => { zoomBy(1 / 1.6); draw(); });
+  $("zoom-whole").addEventListener("click", () => { showWhole(); draw(); });
   new ResizeObserver(draw).observe(canvas);
   matchMedia("(prefers-color-scheme: light)").addEventListener("change", draw);
 }

@@ -1,68 +1,108 @@
+// @ts-check
 // The mission editor: a form and a map over one draft, which the server holds, judges and writes.
-import { element } from "./dom.js";
+import { $, buttons, element, find } from "./dom.js";
 import { drawing, setUpMap, showGround, showShape } from "./plan-map.js";
 import { fillRobots, newRobot, paired, setChoices, setPorts } from "./plan-robots.js";
 
-const $ = (id) => document.getElementById(id);
+/** @import { BackgroundShown, CheckShown, Draft, Failed, HeardVehicle, Port, Preflight, RemarkShown } from "./protocol" */
+/** @import { Kind } from "./plan-map.js" */
+/** @typedef {Required<Draft>} State a draft, and what there is to choose from */
+/** @typedef {{ state: State, change: Draft, store: Draft, ground: BackgroundShown }} OfDraft */
+/** @typedef {OfDraft & { ports: Port[], heard: HeardVehicle[], preflight: Preflight }} Answers */
+/** @typedef {HTMLInputElement | HTMLSelectElement} Input */
+/** @typedef {Record<string, unknown>} Table of the form */
+
 const token = decodeURIComponent(location.hash.slice(1)) || sessionStorage.getItem("token") || "";
 sessionStorage.setItem("token", token);
+const headers = { authorization: `Bearer ${token}` };
 if (location.hash) history.replaceState(null, "", location.pathname); // not in screenshots
-let now = null; // the state as the server has it
-let form = null;
+/** @type {State} */
+let now; // the state as the server has it; nothing can be pressed before it is there
+/** @type {State["form"]} */
+let form;
 let changes = 0;
 
+/** @param {string} text */
 function notice(text) { $("notice").textContent = text; $("notice").className = "bad"; $("notice").hidden = !text; }
 
-async function ask(path, body) {
-  const options = { headers: { authorization: `Bearer ${token}` } };
-  if (body !== undefined) Object.assign(options, { method: "POST", body: JSON.stringify(body) });
-  let plain = null;
+/**
+ * @template {keyof Answers} What
+ * @param {What} what
+ * @param {{ body?: unknown, query?: string }} given with a body it is posted
+ * @returns {Promise<Answers[What] | null>}
+ */
+async function ask(what, { body, query = "" } = {}) {
+  const options = body === undefined ? { headers } : { headers, method: "POST", body: JSON.stringify(body) };
   try {
-    const answer = await fetch(`plan/${path}`, options);
-    plain = await answer.json();
-  } catch { plain = { error: "No answer: has 'fieldkit plan' ended?" }; }
-  notice(plain.error ?? "");
-  return plain.error ? null : plain;
+    const answer = await fetch(`plan/${what}${query}`, options);
+    /** @type {Answers[What]} */
+    const plain = await answer.json();
+    if (answer.ok) { notice(""); return plain; }
+    notice(/** @type {Failed} */ (/** @type {unknown} */ (plain)).error);
+  } catch { notice("No answer: has 'fieldkit plan' ended?"); }
+  return null;
 }
 
 // The pictures under the map, anew where what they depend on has changed. They need the token: an <img> has none.
 let ground = "";
 async function fillGround() {
-  const key = JSON.stringify(["background", "origin_lat_deg", "origin_lon_deg", "size_east_m", "size_north_m"].map((name) => form.field[name]));
+  const { background, origin_lat_deg, origin_lon_deg, size_east_m, size_north_m } = form.field;
+  const key = JSON.stringify([background, origin_lat_deg, origin_lon_deg, size_east_m, size_north_m]);
   if (key === ground) return;
   ground = key;
-  const headers = { authorization: `Bearer ${token}` };
-  const found = form.field.background ? await fetch("plan/ground", { headers }).then((answer) => answer.json()).catch(() => null) : { pictures: [] };
+  const found = background ? await ask("ground") : { pictures: [], credit: "" };
   if (key !== ground || !found) return;
-  if (found.error) notice(found.error);
-  const drawn = (found.pictures ?? []).map(async ({ url, corners_m }) => ({ corners_m, image: await createImageBitmap(await (await fetch(url, { headers })).blob()) }));
-  const pictures = (await Promise.allSettled(drawn)).filter((each) => each.status === "fulfilled").map((each) => each.value);
-  if (key === ground) showGround(pictures, found.credit ?? "");
+  const drawn = found.pictures.map(async ({ url, corners_m }) => ({ corners_m, image: await createImageBitmap(await (await fetch(url, { headers })).blob()) }));
+  const pictures = (await Promise.allSettled(drawn)).flatMap((each) => (each.status === "fulfilled" ? [each.value] : []));
+  if (key === ground) showGround(pictures, found.credit);
 }
 
-const holder = (key) => { const [table, name] = key.split("."); return [form[table], name]; };
+/** @type {(key: string) => [Table, string]} */
+const holder = (key) => {
+  const [table, name] = key.split(".");
+  return [/** @type {Record<string, Table>} */ (/** @type {unknown} */ (form))[table], name];
+};
+/** @type {(selector: string) => Input[]} */
+const inputsIn = (selector) => [...document.querySelectorAll(selector)].filter((each) => each instanceof HTMLInputElement || each instanceof HTMLSelectElement);
 
 function fill() {
-  for (const input of document.querySelectorAll(".form [data-key]:not(.robot [data-key])")) {
-    const [table, name] = holder(input.dataset.key);
-    const value = table[name] ?? "";
-    if (input.tagName === "SELECT") {
-      const names = now.choices[input.dataset.choices];
-      const all = [...new Set([...(input.dataset.choices === "pictures" ? [""] : []), ...names, value].filter((each) => each !== null))];
-      input.replaceChildren(...all.map((each) => new Option(each || "none", each, false, each === value)));
+  for (const input of inputsIn(".form [data-key]:not(.robot [data-key])")) {
+    const [table, name] = holder(input.dataset.key ?? "");
+    const value = String(table[name] ?? "");
+    if (input instanceof HTMLSelectElement) {
+      const names = input.dataset.choices === "pictures" ? ["", ...now.choices.pictures] : now.choices.antennas;
+      input.replaceChildren(...[...new Set([...names, value])].map((each) => new Option(each || "none", each, false, each === value)));
     } else if (document.activeElement !== input) input.value = value;
   }
   $("no-antenna").hidden = now.choices.antennas.length > 0;
   fillRobots($("robots"), form.robots, robotsChanged);
   showShape({ east_m: form.field.size_east_m, north_m: form.field.size_north_m, fence: form.field.fence, keep_out: form.field.keep_out ?? [] });
   fillGround();
-  $("path").textContent = now.path.split(/[\\/]/).at(-1);
+  $("path").textContent = now.path.split(/[\\/]/).at(-1) ?? "";
   $("path").title = now.path;
   $("stored").textContent = now.new ? "not stored yet" : now.stored ? "stored" : "changed";
   $("stored").className = `chip ${now.stored ? "live" : "lost"}`;
-  $("store").disabled = now.stored;
+  $("store", HTMLButtonElement).disabled = now.stored;
   $("text").textContent = now.text;
   remarks();
+}
+
+// Whether a remark's key, as the file has it, is that of an input: robots are numbered there and named here.
+/** @param {string} key @param {string} shown */
+function isAbout(key, shown) {
+  const numbered = shown.replace(/^robot (.*): (.*)$/, (_, name, rest) => `robot.${form.robots.findIndex((each) => each.name === name)}.${rest}`);
+  return shown === key || (key.startsWith("robot ") && shown === `${key}.port`) || `top.${key}` === shown || key === numbered;
+}
+
+/** @param {RemarkShown} remark @param {Input} [input] that it is about */
+function remarkLine(remark, input) {
+  const line = element("li", { className: remark.level });
+  if (!input) { line.append(remark.key ? `${remark.key}: ${remark.text}` : remark.text); return line; }
+  if (remark.level === "red") input.setAttribute("aria-invalid", "true");
+  const go = element("button", { textContent: remark.key });
+  go.addEventListener("click", () => { input.focus(); input.scrollIntoView({ block: "center" }); });
+  line.append(go, remark.text);
+  return line;
 }
 
 function remarks() {
@@ -70,20 +110,9 @@ function remarks() {
   const words = red ? `${red} thing${red > 1 ? "s" : ""} to mend before it can start` : now.remarks.length ? "can start; read the remarks" : "good: it can start";
   $("verdict").textContent = words;
   $("verdict").className = red ? "red" : now.remarks.length ? "amber" : "green";
-  const inputs = [...document.querySelectorAll("[data-key]")];
+  const inputs = inputsIn("[data-key]");
   for (const input of inputs) input.removeAttribute("aria-invalid");
-  const about = (key) => key && inputs.find((input) => input.dataset.key === key || (key.startsWith("robot ") && input.dataset.key === `${key}.port`) || `top.${key}` === input.dataset.key || key === input.dataset.key.replace(/^robot (.*): (.*)$/, (_, name, rest) => `robot.${form.robots.findIndex((each) => each.name === name)}.${rest}`));
-  const lines = now.remarks.map((each) => {
-    const input = about(each.key);
-    const line = element("li", { className: each.level });
-    if (input) {
-      if (each.level === "red") input.setAttribute("aria-invalid", "true");
-      const go = element("button", { textContent: each.key });
-      go.addEventListener("click", () => { input.focus(); input.scrollIntoView({ block: "center" }); });
-      line.append(go, each.text);
-    } else line.append(each.key ? `${each.key}: ${each.text}` : each.text);
-    return line;
-  });
+  const lines = now.remarks.map((each) => remarkLine(each, inputs.find((input) => each.key && isAbout(each.key, input.dataset.key ?? ""))));
   if (!lines.length) lines.push(element("li", { className: "green", textContent: now.stored ? "Nothing. Preflight is next." : "Nothing. Store the file." }));
   $("remarks").replaceChildren(...lines);
   $("next").replaceChildren(...(red || !now.stored ? [] : ["Then, in a terminal: ", element("code", { textContent: `fieldkit run ${now.path} --page` })]));
@@ -93,7 +122,7 @@ function remarks() {
 async function change() {
   changes += 1;
   const mine = changes;
-  const state = await ask("change", form);
+  const state = await ask("change", { body: form });
   if (state && mine === changes) { now = { ...now, ...state }; form = now.form; fill(); }
 }
 
@@ -105,7 +134,8 @@ function robotsChanged() {
 function setUpForm() {
   document.addEventListener("change", (event) => {
     const input = event.target;
-    if (!input.dataset?.key || input.closest(".robot")) return;
+    if (!(input instanceof HTMLInputElement || input instanceof HTMLSelectElement)) return;
+    if (!input.dataset.key || input.closest(".robot")) return;
     const [table, name] = holder(input.dataset.key);
     if (input.type === "number") {
       if (input.validity.badInput) { notice(`${input.dataset.key}: expected a number`); return; }
@@ -113,7 +143,7 @@ function setUpForm() {
     } else table[name] = input.value === "" ? null : input.value;
     change();
   });
-  for (const button of document.querySelectorAll("[data-draw]")) button.addEventListener("click", () => pressDraw(button));
+  for (const button of buttons("[data-draw]")) button.addEventListener("click", () => pressDraw(button));
   $("clear").addEventListener("click", () => { form.field.fence = null; form.field.keep_out = null; change(); });
   document.addEventListener("keydown", (event) => { if (event.key === "Escape") stopDrawing(); });
 }
@@ -121,15 +151,16 @@ function setUpForm() {
 function stopDrawing() {
   Object.assign(drawing, { kind: "", corners: [] });
   for (const [kind, words] of [["fence", "Draw fence"], ["keep_out", "Close an area"]]) {
-    const button = document.querySelector(`[data-draw=${kind}]`);
+    const button = find(document, `[data-draw=${kind}]`);
     button.textContent = words;
     button.classList.remove("on");
   }
   notice("");
 }
 
+/** @param {HTMLButtonElement} button */
 function pressDraw(button) {
-  const kind = button.dataset.draw;
+  const kind = /** @type {Kind} */ (button.dataset.draw);
   if (drawing.kind !== kind) {
     stopDrawing();
     drawing.kind = kind;
@@ -145,16 +176,24 @@ function pressDraw(button) {
   change();
 }
 
-async function busy(button, path, body) {
+/**
+ * @template {keyof Answers} What
+ * @param {string} id of the button that asks
+ * @param {What} what
+ * @param {{ body?: unknown, query?: string }} given
+ */
+async function busy(id, what, given = {}) {
+  const button = $(id, HTMLButtonElement);
   const words = button.textContent;
   button.disabled = true;
   button.textContent = "…";
-  const plain = await ask(path, body);
+  const plain = await ask(what, given);
   button.disabled = false;
   button.textContent = words;
   return plain;
 }
 
+/** @param {string} name @param {string} words @param {string} act @param {() => void} onAct */
 function thing(name, words, act, onAct) {
   const button = element("button", { className: "act", textContent: act });
   button.addEventListener("click", onAct);
@@ -162,7 +201,7 @@ function thing(name, words, act, onAct) {
 }
 
 async function showPorts() {
-  const found = await busy($("ports"), "ports");
+  const found = await busy("ports", "ports");
   if (!found) return;
   setPorts(found);
   $("around").replaceChildren(...(found.length ? found.map((each) => thing(each.port, each.what, "Use", () => {
@@ -175,16 +214,16 @@ async function showPorts() {
 }
 
 async function showHeard() {
-  const address = $("address").value.trim();
-  const found = await busy($("heard"), `heard?address=${encodeURIComponent(address)}`);
+  const address = $("address", HTMLInputElement).value.trim();
+  const found = await busy("heard", "heard", { query: `?address=${encodeURIComponent(address)}` });
   if (!found) return;
   const rows = found.map((each) => thing(`system ${each.system_id}`, `${each.firmware}, ${each.mode}${each.place_deg ? "" : ", no position yet"}`, "Add", () => {
     form.robots.push(newRobot(form.robots, { address, system_id: each.system_id }));
     robotsChanged();
   }));
-  const placed = found.find((each) => each.place_deg);
-  if (placed) rows.push(thing("field", "begin the field where it stands", "Set", () => {
-    [form.field.origin_lat_deg, form.field.origin_lon_deg] = placed.place_deg;
+  const place_deg = found.find((each) => each.place_deg)?.place_deg;
+  if (place_deg) rows.push(thing("field", "begin the field where it stands", "Set", () => {
+    [form.field.origin_lat_deg, form.field.origin_lon_deg] = place_deg;
     change();
   }));
   $("around").replaceChildren(...(rows.length ? rows : [`No vehicle is heard on ${address}.`]));
@@ -192,8 +231,9 @@ async function showHeard() {
 
 async function runPreflight() {
   $("checks").textContent = "listening …";
-  const found = await busy($("preflight"), "preflight", {});
+  const found = await busy("preflight", "preflight", { body: {} });
   if (!found) { $("checks").textContent = ""; return; }
+  /** @type {Record<CheckShown["level"], number>} */
   const order = { red: 0, amber: 1, green: 2 };
   const rows = found.checks.sort((a, b) => order[a.level] - order[b.level]).map((each) => element(
     "div", { className: "check" }, element("b", { className: each.level, textContent: each.level }),
@@ -203,20 +243,20 @@ async function runPreflight() {
 }
 
 async function begin() {
+  const state = await ask("state");
+  if (!state) { $("verdict").textContent = "cannot be read"; return; }
+  now = state;
+  form = now.form;
+  setChoices(now.choices);
   setUpMap(() => change());
   setUpForm();
   $("add").addEventListener("click", () => { form.robots.push(newRobot(form.robots)); robotsChanged(); });
   $("ports").addEventListener("click", showPorts);
   $("heard").addEventListener("click", showHeard);
   $("preflight").addEventListener("click", runPreflight);
-  $("store").addEventListener("click", async () => { const state = await busy($("store"), "store", {}); if (state) now = { ...now, ...state }; if (now) fill(); });
-  window.addEventListener("beforeunload", (event) => { if (now && !now.stored) event.preventDefault(); });
-  const state = await ask("state");
-  if (!state) { $("verdict").textContent = "cannot be read"; return; }
-  now = state;
-  form = now.form;
-  setChoices(now.choices);
+  $("store").addEventListener("click", async () => { const state = await busy("store", "store", { body: {} }); if (state) now = { ...now, ...state }; fill(); });
+  window.addEventListener("beforeunload", (event) => { if (!now.stored) event.preventDefault(); });
   fill();
 }
 begin();
-window.fieldkitPlan = { get state() { return now; } }; // for a look from the console
+Object.assign(window, { fieldkitPlan: { get state() { return now; } } }); // for a look from the console

@@ -1,39 +1,59 @@
+// @ts-check
 // The recordings of a folder: a line each; one that is chosen opens on its own page.
-import { element } from "./dom.js";
+import { $, element } from "./dom.js";
+/** @import { Failed, OpenedRun, Run, Runs, UnreadRun } from "./protocol" */
+/** @typedef {{ list: Runs, open: OpenedRun }} Answers */
 
-const $ = (id) => document.getElementById(id);
+const again = $("again", HTMLButtonElement);
 
+/** @param {string} text */
 function notice(text) { $("notice").textContent = text; $("notice").className = "bad"; $("notice").hidden = !text; }
 
-async function ask(path, options) {
+/**
+ * @template {keyof Answers} What
+ * @param {What} what
+ * @param {RequestInit} [options]
+ * @returns {Promise<Answers[What] | null>}
+ */
+async function ask(what, options) {
   try {
-    const plain = await (await fetch(path, options)).json();
-    notice(plain.error ?? "");
-    return plain.error ? null : plain;
-  } catch {
-    notice("No answer: has 'fieldkit dashboard' ended?");
-    return null;
-  }
+    const answer = await fetch(`runs/${what}`, options);
+    /** @type {Answers[What]} */
+    const plain = await answer.json();
+    if (answer.ok) { notice(""); return plain; }
+    notice(/** @type {Failed} */ (/** @type {unknown} */ (plain)).error);
+  } catch { notice("No answer: has 'fieldkit dashboard' ended?"); }
+  return null;
 }
 
+/** @param {HTMLButtonElement} button @param {string} name */
 async function open(button, name) {
   button.disabled = true;
   button.textContent = "reading …";
-  const found = await ask("runs/open", { method: "POST", body: JSON.stringify({ name }) });
+  const found = await ask("open", { method: "POST", body: JSON.stringify({ name }) });
   button.disabled = false;
   button.textContent = name;
   if (found) location.assign(found.address);
 }
 
+/** @param {number} s */
 const lasted = (s) => (s < 3600 ? `${Math.floor(s / 60)} min ${Math.round(s % 60)} s` : `${Math.floor(s / 3600)} h ${Math.round((s % 3600) / 60)} min`);
+/** @param {number} ns */
 const begun = (ns) => new Date(ns / 1e6).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
-const cell = (word, text, className = "") => { const made = element("td", { className, textContent: text }); if (word) made.dataset.word = word; return made; };
 
+/** @param {string} word @param {string} text @param {string} className */
+function cell(word, text, className = "") {
+  const made = element("td", { className, textContent: text });
+  if (word) made.dataset.word = word;
+  return made;
+}
+
+/** @param {Run | UnreadRun} run */
 function row(run) {
   const button = element("button", { className: "act", textContent: run.name });
   button.addEventListener("click", () => open(button, run.name));
   const name = element("td", {}, button);
-  if (run.error) {
+  if ("error" in run) {
     button.disabled = true;
     const why = cell("", run.error, "bad");
     why.colSpan = 4;
@@ -42,20 +62,20 @@ function row(run) {
   const end = run.missing ? cell("", `NOT complete: ${run.missing}`, "bad") : cell("ended", run.ended);
   return element("tr", {},
     cell("", run.start_ns ? begun(run.start_ns) : "–"), name, cell("lasted", lasted(run.duration_s), "number"),
-    cell("found", run.found ?? "–", "number"), cell("readings", String(run.readings), "number"), end);
+    cell("found", String(run.found ?? "–"), "number"), cell("readings", String(run.readings), "number"), end);
 }
 
 async function list() {
-  $("again").disabled = true;
-  const found = await ask("runs/list");
-  $("again").disabled = false;
+  again.disabled = true;
+  const found = await ask("list");
+  again.disabled = false;
   if (!found) return;
-  $("folder").textContent = found.folder.split(/[\\/]/).at(-1);
+  $("folder").textContent = found.folder.split(/[\\/]/).at(-1) ?? "";
   $("folder").title = found.folder;
   $("rows").replaceChildren(...found.runs.map(row));
   $("none").textContent = `There is no recording in ${found.folder}. A mission makes one: fieldkit run mission.toml`;
   $("none").hidden = found.runs.length > 0;
 }
 
-$("again").addEventListener("click", list);
+again.addEventListener("click", list);
 list();

@@ -1,11 +1,16 @@
+// @ts-check
 // A tone when a robot needs the operator, when a stop is not shown, and when something is found. Off until switched on.
+import { $ } from "./dom.js";
 import { model } from "./model.js";
 
-const $ = (id) => document.getElementById(id);
+/** @type {AudioContext | null} */
 let sound = null;
+/** @type {{ calls: Set<string>, finds: Set<number> } | null} */
 let known = null; // what has been sounded for already
 
+/** @param {number} from_hz @param {number} to_hz @param {number} at_s @param {number} long_s */
 function tone(from_hz, to_hz, at_s, long_s) {
+  if (!sound) return;
   const wave = sound.createOscillator();
   const volume = sound.createGain();
   const start = sound.currentTime + at_s;
@@ -22,8 +27,9 @@ const FIND = () => [[523, 0], [659, 0.12], [784, 0.24]].forEach(([hz, at_s]) => 
 
 export function listen() {
   const frame = model.frame;
+  if (!frame) return;
   const now = {
-    calls: new Set([...frame.robots.filter((robot) => robot.call).map((robot) => robot.name), ...(frame.alarms ?? [])]),
+    calls: new Set([...frame.robots.filter((robot) => robot.call).map((robot) => robot.name), ...frame.alarms]),
     finds: new Set(frame.sources.filter((source) => source.state === "found").map((source) => source.ident)),
   };
   const before = known;

@@ -1,13 +1,15 @@
+// @ts-check
 // Time below the map: finds, holds and the operator's acts as marks, and a look back while the mission goes on.
 import { model } from "./model.js";
 import { ask } from "./socket.js";
 import { clock } from "./panels.js";
-import { element } from "./dom.js";
+import { $, element } from "./dom.js";
 
-const $ = (id) => document.getElementById(id);
+const back = $("back", HTMLInputElement);
 const AT_NOW_S = 2;
 let marked = "";
 
+/** @param {string} text */
 function kindOf(text) {
   if (text.startsWith("found source")) return "find";
   if (text.startsWith("operator")) return "asked";
@@ -15,6 +17,7 @@ function kindOf(text) {
 }
 
 // At most one mark a pixel or so: a night's holds are no thousand elements.
+/** @param {HTMLElement} box @param {number} duration_s */
 function marks(box, duration_s) {
   const last = model.notes.at(-1);
   const now = `${model.notes.length} ${last?.t_s} ${Math.floor(duration_s / 5)}`;
@@ -35,30 +38,29 @@ function marks(box, duration_s) {
 }
 
 export function timeline() {
-  const live = model.hello.live;
-  $("timeline").hidden = !live;
-  if (!live) { marks($("past-marks"), model.hello.duration_s); return; }
-  const now_s = model.frame.t_s;
+  const { hello, frame, past } = model;
+  if (!hello || !frame) return;
+  $("timeline").hidden = !hello.live;
+  if (!hello.live) { marks($("past-marks"), hello.duration_s); return; }
+  const now_s = frame.t_s;
   marks($("marks"), now_s);
-  $("back").max = Math.max(1, Math.floor(now_s));
-  const looks = model.past !== null;
-  if (!looks && document.activeElement !== $("back")) $("back").value = $("back").max;
-  $("now").hidden = !looks;
-  document.body.classList.toggle("looks-back", looks);
-  const ago_s = looks ? now_s - model.past.frame.t_s : 0;
-  $("back-time").textContent = looks ? `map as of ${clock(ago_s)} ago` : "now";
+  back.max = String(Math.max(1, Math.floor(now_s)));
+  if (!past && document.activeElement !== back) back.value = back.max;
+  $("now").hidden = !past;
+  document.body.classList.toggle("looks-back", past !== null);
+  $("back-time").textContent = past ? `map as of ${clock(now_s - past.frame.t_s)} ago` : "now";
 }
 
 function backToNow() {
   model.past = null;
-  $("back").value = $("back").max;
+  back.value = back.max;
   model.version.side += 1;
 }
 
 export function setUpTimeline() {
-  $("back").addEventListener("input", () => {
-    const t_s = Number($("back").value);
-    if (t_s >= model.frame.t_s - AT_NOW_S) backToNow();
+  back.addEventListener("input", () => {
+    const t_s = Number(back.value);
+    if (!model.frame || t_s >= model.frame.t_s - AT_NOW_S) backToNow();
     else ask({ kind: "look", t_s });
   });
   $("now").addEventListener("click", backToNow);

@@ -1,4 +1,6 @@
+// @ts-check
 // Buttons on the map, and what a tap on a robot does.
+import { $ } from "./dom.js";
 import { taps } from "./map.js";
 import { showWhole, zoomBy } from "./mapview.js";
 import { measure } from "./measure.js";
@@ -6,7 +8,6 @@ import { model } from "./model.js";
 import { notice } from "./commands.js";
 import { showRobot } from "./panels.js";
 
-const $ = (id) => document.getElementById(id);
 const STEP = 1.6;
 
 function turnMeasure() {

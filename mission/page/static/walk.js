@@ -1,35 +1,45 @@
+// @ts-check
 // For people who carry a radio: where to go next, how strong it is now, and a tone for ears that need no screen.
-import { model } from "./model.js";
+import { isOld, model, placeOf } from "./model.js";
 import { press, notice } from "./commands.js";
-import { element } from "./dom.js";
+import { $, element, find } from "./dom.js";
 import { heardWhileTurning } from "./turn.js";
 import { showWhere } from "./where.js";
 
-const $ = (id) => document.getElementById(id);
+/** @import { Place } from "./mapview.js" */
+
+const box = $("walk-who", HTMLSelectElement);
+const arrow = $("walk-arrow", SVGElement);
+const markButton = $("walk-mark", HTMLButtonElement);
 const RECENT = 8; // readings that make a trend
 const MOST_FINDS = 3; // shown on the panel; all of them are under Sources
 const TURNED_DEG = 20; // less than this off is straight on
 let me = "";
 let heardUpTo = -1;
+/** @type {number | null} */
 let peak = null;
+/** @type {number[]} */
 let levels = [];
+/** @type {AudioContext | null} */
 let sound = null;
 
 function people() { return (model.hello?.robots ?? []).filter((robot) => robot.on_foot).map((robot) => robot.name); }
 
 export function isWalk() { return people().length > 0; }
 
+/** @param {string[]} names */
 function choose(names) {
-  const box = $("walk-who");
   if (box.options.length !== names.length) {
     box.replaceChildren(...names.map((name) => new Option(name, name)));
     box.hidden = names.length < 2;
   }
-  if (!names.includes(me)) me = names.includes(sessionStorage.getItem("me")) ? sessionStorage.getItem("me") : names[0];
+  const before = sessionStorage.getItem("me") ?? "";
+  if (!names.includes(me)) me = names.includes(before) ? before : names[0];
   box.value = me;
 }
 
 // Which way, for somebody who looks where they walk: by the clock, as people say it.
+/** @param {number} bearing_deg @param {number} heading_deg */
 export function turn(bearing_deg, heading_deg) {
   const off = ((bearing_deg - heading_deg + 540) % 360) - 180;
   if (Math.abs(off) < TURNED_DEG) return "straight on";
@@ -37,9 +47,11 @@ export function turn(bearing_deg, heading_deg) {
   return `${Math.abs(off) < 60 ? "half " : ""}${off > 0 ? "right" : "left"}`;
 }
 
+/** @param {number[]} values */
 export function trend(values) {
   if (values.length < 4) return "";
   const half = Math.floor(values.length / 2);
+  /** @param {number[]} part */
   const mean = (part) => part.reduce((sum, value) => sum + value, 0) / part.length;
   const change = mean(values.slice(-half)) - mean(values.slice(0, half));
   return Math.abs(change) < 1.5 ? "steady" : change > 0 ? "warmer" : "colder";
@@ -60,7 +72,9 @@ function take() {
   }
 }
 
+/** @param {number} dbm */
 function tick(dbm) { // Higher and longer the stronger it is.
+  if (!sound) return;
   const strength = Math.min(1, Math.max(0, (dbm + 100) / 60));
   const tone = sound.createOscillator();
   const volume = sound.createGain();
@@ -73,22 +87,25 @@ function tick(dbm) { // Higher and longer the stronger it is.
   tone.stop(now + 0.25);
 }
 
+/** @param {string} id @param {string} text */
 function set(id, text) { if ($(id).textContent !== text) $(id).textContent = text; }
 
 // What has been found, nearest first: where it is from here, and by a tap where that is in other words.
-function showFinds(here) {
-  const finds = model.frame.sources.filter((source) => source.state === "found").map((source) => {
-    const [east, north] = here ? [source.east_m - here.east_m, source.north_m - here.north_m] : [0, 0];
+/** @param {Place | null} here @param {number} heading_deg */
+function showFinds(here, heading_deg) {
+  const finds = (model.frame?.sources ?? []).filter((source) => source.state === "found").map((source) => {
+    const [east, north] = here ? [source.east_m - here[0], source.north_m - here[1]] : [0, 0];
     const off_m = Math.hypot(east, north);
-    const way = turn((Math.atan2(east, north) * 180) / Math.PI, here?.heading_deg ?? 0);
+    const way = turn((Math.atan2(east, north) * 180) / Math.PI, heading_deg);
     const from = here ? `, ${Math.round(off_m)} m from you, ${way}` : "";
     return { source, off_m, words: `Source ${source.ident} found: ${source.east_m.toFixed(1)} m E, ${source.north_m.toFixed(1)} m N${from}` };
   }).sort((a, b) => a.off_m - b.off_m).slice(0, MOST_FINDS);
-  const box = $("walk-found");
-  box.hidden = !finds.length;
-  while (box.children.length > finds.length) box.lastChild.remove();
+  const found = $("walk-found");
+  found.hidden = !finds.length;
+  while (found.children.length > finds.length) found.lastElementChild?.remove();
+  while (found.children.length < finds.length) found.append(element("button", { title: "Tap: where that is, to copy" }));
   for (const [index, { source, words }] of finds.entries()) {
-    const button = box.children[index] ?? box.appendChild(element("button", { title: "Tap: where that is, to copy" }));
+    const button = find(found, `:nth-child(${index + 1})`, HTMLButtonElement);
     if (button.textContent !== words) button.textContent = words;
     button.onclick = () => showWhere(source.east_m, source.north_m, `Source ${source.ident}`);
   }
@@ -102,44 +119,44 @@ export function walk() {
   take();
   const mine = model.frame.robots.find((robot) => robot.name === me);
   if (!mine) return;
-  const goal = mine.target_m;
-  const arrow = $("walk-arrow");
-  const known = mine.east_m !== null && mine.pose_age_s <= model.hello.pose_timeout_s;
-  if (model.frame.end) { set("walk-go", "The walk is over"); set("walk-why", model.frame.end); arrow.style.opacity = 0; }
-  else if (!known) { set("walk-go", "No position"); set("walk-why", "go where the sky is free"); arrow.style.opacity = 0; }
-  else if (mine.mode !== "guided" || !goal) {
-    set("walk-go", "Stay here"); set("walk-why", mine.why || mine.mode); arrow.style.opacity = 0;
-  } else {
-    const [east, north] = [goal[0] - mine.east_m, goal[1] - mine.north_m];
+  const here = isOld(mine) ? null : placeOf(mine);
+  const heading_deg = mine.heading_deg ?? 0;
+  const goal = mine.mode === "guided" ? mine.target_m : null;
+  arrow.style.opacity = here && goal && !model.frame.end ? "1" : "0";
+  if (model.frame.end) { set("walk-go", "The walk is over"); set("walk-why", model.frame.end); }
+  else if (!here) { set("walk-go", "No position"); set("walk-why", "go where the sky is free"); }
+  else if (!goal) { set("walk-go", "Stay here"); set("walk-why", mine.why || mine.mode); }
+  else {
+    const [east, north] = [goal[0] - here[0], goal[1] - here[1]];
     const bearing = (Math.atan2(east, north) * 180) / Math.PI;
-    arrow.style.opacity = 1;
-    arrow.style.transform = `rotate(${bearing - (mine.heading_deg ?? 0)}deg)`;
-    set("walk-go", `${Math.round(Math.hypot(east, north))} m, ${turn(bearing, mine.heading_deg ?? 0)}`);
+    arrow.style.transform = `rotate(${bearing - heading_deg}deg)`;
+    set("walk-go", `${Math.round(Math.hypot(east, north))} m, ${turn(bearing, heading_deg)}`);
     set("walk-why", mine.doing.startsWith("resolve") ? "to pin down what was heard" : "to listen where nobody has");
   }
-  showFinds(known ? mine : null);
+  showFinds(here, heading_deg);
   const silent = !mine.radio_up;
-  set("walk-now", silent ? "radio down" : levels.length ? `${Math.round(levels.at(-1))} dBm` : "silence");
+  const latest = levels.at(-1);
+  set("walk-now", silent ? "radio down" : latest === undefined ? "silence" : `${Math.round(latest)} dBm`);
   set("walk-peak", peak === null ? "–" : `${Math.round(peak)} dBm`);
   const words = silent ? "" : trend(levels);
   set("walk-trend", words || "–");
   $("walk-trend").className = words;
-  $("walk-mark").disabled = !model.mayCommand || !known;
-  $("walk-mark").hidden = !model.hello.live;
+  markButton.disabled = !model.mayCommand || !here;
+  markButton.hidden = !model.hello?.live;
 }
 
-$("walk-who").addEventListener("change", () => {
-  me = $("walk-who").value;
+box.addEventListener("change", () => {
+  me = box.value;
   sessionStorage.setItem("me", me);
   [heardUpTo, peak, levels] = [-1, null, []];
   walk();
 });
 $("walk-sound").addEventListener("click", () => {
-  sound = sound ? (sound.close(), null) : new AudioContext();
+  if (sound) { sound.close(); sound = null; } else sound = new AudioContext();
   $("walk-sound").textContent = sound ? "Sound off" : "Sound on";
   $("walk-sound").setAttribute("aria-pressed", String(Boolean(sound)));
 });
-$("walk-mark").addEventListener("click", () => {
-  press($("walk-mark"), "mark", { robot: me }, true);
-  if (!$("walk-mark").classList.contains("asking")) notice("Marked: your word, kept apart from what the radios say.");
+markButton.addEventListener("click", () => {
+  press(markButton, { action: "mark", robot: me }, true);
+  if (!markButton.classList.contains("asking")) notice("Marked: your word, kept apart from what the radios say.");
 });

@@ -1,14 +1,17 @@
+// @ts-check
 // A tap on the map says where that is, in metres, degrees, UTM and MGRS; a tap on one of these copies it.
 import { model } from "./model.js";
 import { pin, taps } from "./map.js";
 import { STATES, sureness } from "./words.js";
-import { element } from "./dom.js";
+import { $, element } from "./dom.js";
+/** @import { Where } from "./protocol" */
 
-const $ = (id) => document.getElementById(id);
+/** @type {[keyof Where, string][]} */
 const NAMES = [["metres", "field"], ["lat_lon", "lat, lon"], ["utm", "UTM"], ["mgrs", "MGRS"]];
 let asked = 0;
 
 // Without https browsers keep the clipboard to themselves: then the old way.
+/** @param {string} text */
 export async function copy(text) {
   if (navigator.clipboard && window.isSecureContext) {
     try { await navigator.clipboard.writeText(text); return true; } catch { /* the old way may still do */ }
@@ -22,8 +25,10 @@ export async function copy(text) {
   return done;
 }
 
+/** @param {number} east_m @param {number} north_m @param {string} title */
 export async function showWhere(east_m, north_m, title = "") {
   const mine = asked += 1;
+  /** @type {Partial<Where> | null} */
   let words = null;
   try {
     const answer = await fetch(`where?east_m=${east_m.toFixed(3)}&north_m=${north_m.toFixed(3)}`);
@@ -33,15 +38,18 @@ export async function showWhere(east_m, north_m, title = "") {
   if (mine !== asked) return; // another tap has come
   const box = $("where");
   pin.at = [east_m, north_m];
-  const rows = NAMES.filter(([key]) => words?.[key]).map(([key, name]) => {
-    const button = element("button", { title: "Tap to copy" }, element("small", { textContent: name }), element("span", { textContent: words[key] }));
+  const rows = NAMES.flatMap(([key, name]) => {
+    const text = words?.[key];
+    if (!text) return [];
+    const label = element("small", { textContent: name });
+    const button = element("button", { title: "Tap to copy" }, label, element("span", { textContent: text }));
     button.dataset.form = key;
     button.addEventListener("click", async () => {
-      const done = await copy(words[key]);
+      const done = await copy(text);
       button.classList.toggle("copied", done);
-      button.firstChild.textContent = done ? "copied" : "copy it by hand";
+      label.textContent = done ? "copied" : "copy it by hand";
     });
-    return button;
+    return [button];
   });
   const close = element("button", { className: "close", textContent: "×", title: "Close" });
   close.setAttribute("aria-label", "Close");
@@ -58,7 +66,7 @@ export function hideWhere() {
 }
 
 export function setUpWhere() {
-  taps.onPlace = (east, north) => showWhere(east, north);
+  taps.onPlace = (east, north) => { showWhere(east, north); };
   taps.onSource = (source) => {
     const sure = source.state === "candidate" ? `here with ${Math.round(100 * source.p)} %` : sureness(source);
     showWhere(source.east_m, source.north_m, `Source ${source.ident}: ${[STATES[source.state], sure].filter(Boolean).join(", ")}`);
