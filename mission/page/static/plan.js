@@ -50,8 +50,8 @@ async function fillGround() {
   const key = JSON.stringify([background, origin_lat_deg, origin_lon_deg, size_east_m, size_north_m]);
   if (key === ground) return;
   ground = key;
-  const found = background ? await ask("ground") : { pictures: [], credit: "" };
-  if (key !== ground || !found) return;
+  const found = (background && await ask("ground")) || { pictures: [], credit: "" };
+  if (key !== ground) return;
   const drawn = found.pictures.map(async ({ url, corners_m }) => ({ corners_m, image: await createImageBitmap(await (await fetch(url, { headers })).blob()) }));
   const pictures = (await Promise.allSettled(drawn)).flatMap((each) => (each.status === "fulfilled" ? [each.value] : []));
   if (key === ground) showGround(pictures, found.credit);
