@@ -72,4 +72,4 @@ bench: $(VENV)/.installed-dev
 	$(BIN)/fieldkit bench $(BENCH)
 
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis fieldkit/_manual
+	rm -rf $(VENV) tests/browser/node_modules build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis fieldkit/_manual

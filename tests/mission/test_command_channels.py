@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from websockets.sync.client import connect
 
 from fieldkit.messages import Operator
-from mission.page.commands import ACTIONS, checked_command, message_of
+from mission.page.commands import ACTIONS, checked_command, message_of, number_of, question_of, token_of
 from mission.page.serve import LivePage
 from mission.page.server import Mailbox, Page
 from mission.safety.limits import SafetySettings
@@ -81,6 +81,23 @@ def test_any_command_is_checked_or_refused_in_words(message: dict[str, object]) 
         json.dumps(command, allow_nan=False).encode()  # it can be recorded
 
 
+KINDS = st.sampled_from(["look", "seek", "play", "pause", "token", "command"])
+
+
+@given(
+    st.fixed_dictionaries(
+        {"kind": KINDS | JSON}, optional=dict.fromkeys(("t_s", "rate", "token", "number"), JSON)
+    )
+)
+def test_any_question_is_read_or_is_none(message: dict[str, object]) -> None:
+    question = question_of(message)
+    if question is not None:
+        assert question.kind == message["kind"]
+        json.dumps(question.model_dump(), allow_nan=False).encode()
+    token_of(message).encode("utf-8", "replace")
+    assert number_of(message) is None or message["kind"] == "command"
+
+
 @given(st.binary() | st.text())
 def test_any_frame_is_a_message_or_nothing(data: bytes | str) -> None:
     assert isinstance(message_of(data), dict)
@@ -102,6 +119,9 @@ def odd_frame(rng: random.Random, token: str) -> str | bytes:
         '{"kind":"command","action":["hold"],"number":"\\ud800"}',
         '{"kind":"command","action":"end","robot":"r1"}',
         '{"kind":["go"],"action":{}}',
+        '{"kind":"seek","t_s":"\\ud800"}',
+        f'{{"kind":"look","t_s":{digits}}}',
+        '{"kind":"play","rate":NaN}',
         json.dumps([1, 2, 3]),
         json.dumps(
             {"kind": "command", "action": rng.choice(ACTIONS), "robot": rng.choice([1, None, True, "r9"])}
