@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -37,10 +38,15 @@ from mission.plan.protocol import Draft, HeardVehicle, Port, Preflight
 S = 1_000_000_000
 
 
+@cache
+def reader(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind | None, config=page_types.STRICT)
+
+
 def read(kind: Any, plain: Any) -> Any:
     """What it is; raises `ValidationError` where it is not of this kind, to the last field."""
     text = plain if isinstance(plain, str) else json.dumps(plain)
-    return TypeAdapter(kind | None, config=page_types.STRICT).validate_json(text, strict=True)
+    return reader(kind).validate_json(text, strict=True)
 
 
 @pytest.fixture(scope="module")
