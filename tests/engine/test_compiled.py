@@ -57,6 +57,42 @@ def test_a_read_only_installation_without_a_home_keeps_compiled_code_in_the_temp
     assert folder.stat().st_mode & 0o077 == 0
 
 
+def test_a_loop_is_compiled_anew_when_a_function_that_it_calls_has_changed(tmp_path: Path) -> None:
+    """Inlined or not, at first hand or through another: numba alone would keep what it compiled before."""
+    compiled = "from fieldkit.engine.compiled import njit\n"
+    (tmp_path / "inner.py").write_text(
+        f"{compiled}from innermost import through\n"
+        "@njit(cache=True, inline='always')\ndef twice(x):\n    return through(x)\n"
+    )
+    (tmp_path / "loop.py").write_text(
+        f"{compiled}from inner import twice\n@njit(cache=True)\ndef loop(x):\n    return twice(x)\n"
+    )
+
+    def innermost(factor: str) -> None:
+        (tmp_path / "innermost.py").write_text(
+            f"{compiled}@njit(cache=True)\ndef through(x):\n    return {factor} * x\n"
+        )
+
+    def said() -> list[str]:
+        """What the loop makes of 3, and how often it was found compiled."""
+        asked = "from loop import loop; print(loop(3.0), sum(loop.stats.cache_hits.values()))"
+        done = subprocess.run(
+            [sys.executable, "-c", asked],
+            env={**os.environ, "PYTHONPATH": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return done.stdout.split()
+
+    innermost("2.0")
+    assert said() == ["6.0", "0"]
+    innermost("10.25")  # of another length: the clocks of files are coarse
+    assert said() == ["30.75", "0"]
+    assert said() == ["30.75", "1"]
+
+
 def test_where_nothing_at_all_can_be_written_the_engine_still_works(tmp_path: Path) -> None:
     assert run(tmp_path, "", tmp_path).startswith("(4, 4)")
 
