@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fieldkit.channel import law
 from fieldkit.messages import FloatArray
 
 MIN_RANGE_M = 0.05
@@ -34,11 +35,22 @@ class Antenna:
     alike_within_m: float = 0.0
     """Nearer than this a directional antenna hears the same all round (RWA eq 6, d_a)."""
 
+    @property
+    def law(self) -> law.Law:
+        """Its numbers; what elevation costs is no property of the antenna."""
+        return law.Law(float(10.0 * self.path_loss_exponent), MIN_RANGE_M, 0.0, float(self.alike_within_m))
+
+    def loss_db(self, range_m: ArrayLike) -> FloatArray:
+        """By how much less is read at `range_m` than at 1 m."""
+        return law.loss_db(_decades(range_m), self.law)
+
+    def slope_db(self, range_m: ArrayLike) -> FloatArray:
+        """By how much less is read there for each part by which the range grows."""
+        return np.asarray(law.slope_db(_decades(range_m), self.law))
+
     def mean_rss_dbm(self, range_m: ArrayLike, power_db: ArrayLike = 0.0) -> FloatArray:
         """Mean reading at `range_m` from a source `power_db` above the calibrated transmitter."""
-        clamped = np.maximum(np.asarray(range_m, dtype=float), MIN_RANGE_M)
-        power_dbm = self.power_at_1m_dbm + np.asarray(power_db, dtype=float)
-        result: FloatArray = power_dbm - 10.0 * self.path_loss_exponent * np.log10(clamped)
+        result: FloatArray = self.power_at_1m_dbm + np.asarray(power_db, dtype=float) - self.loss_db(range_m)
         return result
 
     def gain_db(self, off_front_deg: ArrayLike, range_m: ArrayLike = np.inf) -> FloatArray:
@@ -53,4 +65,9 @@ class Antenna:
     def nominal_range_m(self, power_db: ArrayLike = 0.0) -> FloatArray:
         """Range at which the mean reading falls to the threshold: about half the packets are heard there."""
         margin_db = self.power_at_1m_dbm + np.asarray(power_db, dtype=float) - self.threshold_dbm
-        return np.power(10.0, margin_db / (10.0 * self.path_loss_exponent))
+        result: FloatArray = np.power(10.0, law.decades_at(margin_db, self.law))
+        return result
+
+
+def _decades(range_m: ArrayLike) -> FloatArray:
+    return np.asarray(np.log10(np.maximum(np.asarray(range_m, dtype=float), MIN_RANGE_M)))

@@ -116,7 +116,7 @@ def predicted(
     """(d, m) mean and standard deviation of each reading, in dBm and dB, from a source there."""
     way_m = np.array([east_m, north_m]) - heard.place_m
     range_m = np.maximum(np.hypot(way_m[..., 0], way_m[..., 1]), MIN_RANGE_M)
-    smear = 10.0 * antenna.path_loss_exponent / np.log(10.0) * place_sigma_m
+    smear = antenna.slope_db(range_m) * place_sigma_m
     variance = antenna.sigma_db**2 + 1.0 / 12.0 + smear**2 / (range_m**2 + place_sigma_m**2)
     mean = antenna.mean_rss_dbm(range_m, power_db)
     if antenna.pattern_db:

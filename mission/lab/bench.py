@@ -81,7 +81,7 @@ def pairwise_numpy(
     def integral(u: FloatArray) -> FloatArray:
         return np.asarray(u * ndtr(u) + np.exp(-0.5 * u * u) / np.sqrt(2.0 * np.pi))
 
-    a = attenuation_db(points_m, detection.position_m, beta, min_range_m)
+    a = attenuation_db(points_m, detection.position_m, antenna, min_range_m)
     z = detection.rss_dbm
     total = np.zeros(points_m.shape[0])
     for p in range(len(z)):

@@ -48,7 +48,8 @@ def test_one_heard_matches_the_reference_far_into_the_tail(vector: dict) -> None
 @pytest.mark.parametrize("vector", vectors("D"))
 def test_difference_of_attenuation_matches_the_reference(vector: dict) -> None:
     g = vector["inp"]
-    a = attenuation_db(np.array([g["cell"]]), np.array([g["p"], g["q"]]), g["beta"], g["dmin"])
+    radio = Antenna(g["beta"], 0.0, 3.3, -90.0)
+    a = attenuation_db(np.array([g["cell"]]), np.array([g["p"], g["q"]]), radio, g["dmin"])
     assert a[1, 0] - a[0, 0] == pytest.approx(vector["D_dB"], abs=1e-9)
 
 
@@ -63,7 +64,9 @@ def test_theorem_1_matches_the_reference(vector: dict) -> None:
 
 
 def test_doubling_the_range_loses_ten_beta_log_two() -> None:
-    a = attenuation_db(np.array([[1.0, 0.0], [2.0, 0.0]]), np.zeros((1, 2)), 2.53, 0.25)
+    a = attenuation_db(
+        np.array([[1.0, 0.0], [2.0, 0.0]]), np.zeros((1, 2)), Antenna(2.53, 0.0, 3.3, -90.0), 0.25
+    )
     assert a[0, 1] - a[0, 0] == pytest.approx(10 * 2.53 * np.log10(2.0))
 
 

@@ -180,7 +180,7 @@ def test_time_on_ridges_matches_the_reference() -> None:
 
 def plain_entropy(engine, cells, presence, prior, pair, normalised):  # type: ignore[no-untyped-def]
     """Eq 25 and 26 for one place of a pair, cell by cell and level by level, as one writes them from the paper."""
-    a = attenuation_db(cells, pair, engine.antenna.path_loss_exponent, engine.grid.cell_m / 2)
+    a = attenuation_db(cells, pair, engine.antenna, engine.grid.cell_m / 2)
     if normalised:
         presence = prior / prior.sum()
     total = 0.0

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fieldkit.channel import law
 from fieldkit.channel.antenna_file import Receiver
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.engine.likelihood.ears_loops import (
@@ -46,10 +47,9 @@ class Ears:
     """Deviation of a position that states none, or a smaller one."""
 
     @property
-    def law(self) -> FloatArray:
-        """(4,) for the loops: 10 beta, least range, kappa, and within which range azimuth does not count."""
-        a = self.antenna
-        return np.array([10.0 * a.path_loss_exponent, MIN_RANGE_M, self.elevation, a.alike_within_m])
+    def law(self) -> law.Law:
+        """The antenna's numbers, with what elevation costs."""
+        return self.antenna.law._replace(elevation=float(self.elevation))
 
     @property
     def pattern_db(self) -> FloatArray:
@@ -117,11 +117,11 @@ class Ears:
         return replace(detection, rss_dbm=detection.rss_dbm + more) if more.any() else detection
 
     def attenuation_db(self, points_m: FloatArray, ears: FloatArray) -> FloatArray:
-        """(n, m) from points (n, 2) to ears (m, `COLUMNS`): the plain form of `ears_loops.faintness`."""
+        """(n, m) from points (n, 2) to ears (m, `COLUMNS`): as the loops have it."""
         way = points_m[:, None, :] - ears[None, :, EAST : NORTH + 1]
         flat2, up = (way**2).sum(axis=-1), ears[None, :, UP]
         d2 = np.maximum(flat2 + up**2, MIN_RANGE_M**2)
-        loss = 5.0 * self.antenna.path_loss_exponent * np.log10(d2)
+        loss = law.loss_db(0.5 * np.log10(d2), self.law)
         cos = np.where(up != 0.0, np.maximum(np.sqrt(flat2 / d2), LEAST_COS), 1.0)
         loss = loss - self.elevation * 20.0 * np.log10(cos)
         if self.antenna.pattern_db:

@@ -1,7 +1,8 @@
-"""The compiled law of how faint a source is at a receiver; `ears.Ears.attenuation_db` is its plain form."""
+"""What is lost by elevation and azimuth, compiled; `ears.Ears.attenuation_db` is its plain form, with the distance."""
 
 import math
 
+from fieldkit.channel.law import Law
 from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray
 
@@ -21,17 +22,17 @@ def square_m2(east: float, north: float, ears: FloatArray, q: int, min_range: fl
 
 @njit(cache=True, nogil=True, inline="always")
 def beyond_distance_db(
-    east: float, north: float, ears: FloatArray, q: int, d2: float, law: FloatArray, pattern: FloatArray
+    east: float, north: float, ears: FloatArray, q: int, d2: float, law: Law, pattern: FloatArray
 ) -> float:
     """What is lost by elevation and azimuth, on top of the loss by distance."""
     loss = 0.0
     de, dn = east - ears[q, 0], north - ears[q, 1]
-    if ears[q, 2] != 0.0 and law[2] != 0.0:
+    if ears[q, 2] != 0.0 and law.elevation != 0.0:
         cos2 = max((de * de + dn * dn) / d2, 0.01)
-        loss -= law[2] * 10.0 * math.log10(cos2)
+        loss -= law.elevation * 10.0 * math.log10(cos2)
     count = pattern.shape[0]
     if count > 0:
-        if d2 <= law[3] * law[3]:
+        if d2 <= law.alike_within_m * law.alike_within_m:
             loss -= pattern.max()
         else:
             at = ((math.atan2(de, dn) - ears[q, 3]) / (2.0 * math.pi)) % 1.0 * count

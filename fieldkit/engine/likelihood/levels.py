@@ -23,6 +23,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import log_ndtr, logsumexp, ndtr
 
+from fieldkit.channel import law
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears import Ears
@@ -90,7 +91,6 @@ class LevelsModel:
         """(h,) log prior of each hypothesis."""
         self.outside = np.zeros(self.log_prior.size, dtype=bool)
         self.outside[known.size : known.size + outside.size] = True
-        self.ten_beta = 10.0 * antenna.path_loss_exponent
         self.reach_m = self._reach_m(known[-1])
         """Beyond this, not one packet in 500 of the strongest known level is heard."""
         self.reach_outside_m = self._reach_m(self.power_db.max())
@@ -110,7 +110,7 @@ class LevelsModel:
 
     def log_hear(self, range_m: FloatArray, level_dbm: FloatArray) -> FloatArray:
         """log P(a robot hears a packet) at `range_m` from a source of power `level_dbm` at 1 m."""
-        mean = level_dbm - self.ten_beta * np.log10(np.maximum(range_m, MIN_RANGE_M))
+        mean = level_dbm - self.antenna.loss_db(range_m)
         margin = (mean - self.antenna.threshold_dbm - 0.5) / self.antenna.sigma_db
         result: FloatArray = np.log1p(-self.tuning.packet_loss) + log_ndtr(margin)
         return result
@@ -124,7 +124,7 @@ class LevelsModel:
             - 0.5
             + 2.9 * self.antenna.sigma_db
         )
-        return float(10.0 ** (margin_db / self.ten_beta))
+        return float(10.0 ** law.decades_at(margin_db, self.antenna.law))
 
     def log_likelihood(self, detection: Detection, points_m: FloatArray) -> FloatArray:
         """(h, n): log p(what the team heard | a source at points_m (n, 2) sent it), under each hypothesis."""
@@ -165,7 +165,7 @@ class LevelsModel:
 
     def spread_db(self, range_m: FloatArray) -> FloatArray:
         """Standard deviation of a reading at `range_m`: the antenna's sigma, the place's smear, the rounding."""
-        smear = self.ten_beta / np.log(10.0) * self.place_sigma_m
+        smear = self.antenna.slope_db(range_m) * self.place_sigma_m
         result: FloatArray = np.sqrt(
             self.antenna.sigma_db**2
             + smear**2 / (np.maximum(range_m, MIN_RANGE_M) ** 2 + self.place_sigma_m**2)

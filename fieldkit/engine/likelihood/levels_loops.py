@@ -8,8 +8,10 @@ import math
 
 import numpy as np
 
+from fieldkit.channel.law import Law
 from fieldkit.engine.compiled import njit
 from fieldkit.engine.likelihood.ears_loops import EAST, NORTH, SIGMA, THRESHOLD, beyond_distance_db, square_m2
+from fieldkit.engine.likelihood.law_loops import as_far_m2, loss_db, slope_db
 from fieldkit.messages import FloatArray, IntArray
 
 _SQRT2 = math.sqrt(2.0)
@@ -28,7 +30,7 @@ def levels_loglik(
     rss: FloatArray,
     saturated: FloatArray,
     levels: FloatArray,
-    law: FloatArray,
+    law: Law,
     pattern: FloatArray,
     sigma: float,
     loss: float,
@@ -48,8 +50,6 @@ def levels_loglik(
     n = points.shape[0]
     m = ears.shape[0]
     n_levels = levels.shape[0]
-    ten_beta = law[0]
-    slope = ten_beta / math.log(10.0)
     silent_top = log_silent.shape[0] - 1.000001
     heard_top = log_heard.shape[0] - 1.000001
     for i in range(n):
@@ -57,8 +57,10 @@ def levels_loglik(
             out[h, i] = 0.0
         east, north = points[i, 0], points[i, 1]
         for q in range(m):
-            d2 = square_m2(east, north, ears, q, law[1])
-            attenuation = 0.5 * ten_beta * math.log10(d2)
+            d2 = square_m2(east, north, ears, q, law.least_range_m)
+            decades = 0.5 * math.log10(d2)
+            slope = slope_db(decades, law)
+            attenuation = loss_db(decades, law)
             attenuation += beyond_distance_db(east, north, ears, q, d2, law, pattern)
             unsure2 = ears[q, SIGMA] * ears[q, SIGMA]
             spread = math.sqrt(sigma * sigma + slope * slope * unsure2 / (d2 + unsure2))
@@ -148,7 +150,7 @@ def conditional_loglik(
     variance: float,
     furthest: float,
     levels: FloatArray,
-    law: FloatArray,
+    law: Law,
     pattern: FloatArray,
     loss: float,
     outlier: float,
@@ -167,8 +169,6 @@ def conditional_loglik(
     believed that is deeper than `furthest` dB: those who heard another source are no reason to expect one.
     """
     n, m, n_levels, near_count = points.shape[0], ears.shape[0], levels.shape[0], weights.shape[1]
-    ten_beta = law[0]
-    slope = ten_beta / math.log(10.0)
     silent_top = log_silent.shape[0] - 1.000001
     heard_top = log_heard.shape[0] - 1.000001
     for i in range(n):
@@ -176,8 +176,10 @@ def conditional_loglik(
             out[h, i] = 0.0
         east, north = points[i, 0], points[i, 1]
         for q in range(m):
-            d2 = square_m2(east, north, ears, q, law[1])
-            attenuation = 0.5 * ten_beta * math.log10(d2)
+            d2 = square_m2(east, north, ears, q, law.least_range_m)
+            decades = 0.5 * math.log10(d2)
+            slope = slope_db(decades, law)
+            attenuation = loss_db(decades, law)
             attenuation += beyond_distance_db(east, north, ears, q, d2, law, pattern)
             # Neighbours were off by moved - levels[h] * taken in all, each as much as it counts.
             moved = 0.0
@@ -186,11 +188,13 @@ def conditional_loglik(
             for j in range(near_count):
                 if weights[q, j] != 0.0:
                     row = q * near_count + j
-                    away2 = square_m2(east, north, near, row, law[1])
-                    fainter = 0.5 * ten_beta * math.log10(away2)
+                    away2 = square_m2(east, north, near, row, law.least_range_m)
+                    away = 0.5 * math.log10(away2)
+                    steep = slope_db(away, law)
+                    fainter = loss_db(away, law)
                     fainter += beyond_distance_db(east, north, near, row, away2, law, pattern)
                     its2 = near[row, SIGMA] * near[row, SIGMA]
-                    trust = variance / (variance + slope * slope * its2 / (away2 + its2))
+                    trust = variance / (variance + steep * steep * its2 / (away2 + its2))
                     weight = trust * weights[q, j]
                     moved += weight * (near_rss[q, j] + fainter)
                     taken += weight
@@ -232,7 +236,7 @@ def add_exposure_of_ears(
     step2: float,
     limit2: FloatArray,
     threshold: float,
-    law: FloatArray,
+    law: Law,
     pattern: FloatArray,
     best: float,
     duration: float,
@@ -245,8 +249,7 @@ def add_exposure_of_ears(
     n_levels, rows, columns = exposure.shape
     last = hear.shape[2] - 1
     m = ears.shape[0]
-    per_db = 2.0 / law[0]
-    widest = math.sqrt(limit2.max() * 10.0 ** (per_db * best))
+    widest = math.sqrt(as_far_m2(limit2.max(), best, law))
     furthest2 = limit2.max()
     row0 = max(0, int(math.floor((ears[:, NORTH].min() - widest) / cell)))
     row1 = min(rows, int(math.floor((ears[:, NORTH].max() + widest) / cell)) + 1)
@@ -259,11 +262,11 @@ def add_exposure_of_ears(
             east = (c + 0.5) * cell
             nearest2 = math.inf
             for q in range(m):
-                d2 = square_m2(east, north, ears, q, law[1])
+                d2 = square_m2(east, north, ears, q, law.least_range_m)
                 more = beyond_distance_db(east, north, ears, q, d2, law, pattern)
                 more += ears[q, THRESHOLD] - threshold
                 if more != 0.0:
-                    d2 *= 10.0 ** (per_db * more)
+                    d2 = as_far_m2(d2, more, law)
                 as_far2[q] = d2
                 nearest2 = min(nearest2, d2)
             if nearest2 >= furthest2:

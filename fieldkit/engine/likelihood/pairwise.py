@@ -17,6 +17,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
+from fieldkit.channel import law
 from fieldkit.channel.model import Antenna
 from fieldkit.engine.likelihood import pairwise_loops
 from fieldkit.messages import Detection, FloatArray
@@ -49,19 +50,19 @@ def log_e10(x_db: FloatArray, sigma_db: float) -> FloatArray:
 
 
 def attenuation_db(
-    points_m: FloatArray, robots_m: FloatArray, path_loss_exponent: float, min_range_m: float
+    points_m: FloatArray, robots_m: FloatArray, antenna: Antenna, min_range_m: float
 ) -> FloatArray:
-    """(m, n): 10 beta log10 of the distance from robots (m, 2) to points (n, 2), clamped below."""
+    """(m, n): what is lost from points (n, 2) to robots (m, 2), whose distance is clamped below."""
     offset = points_m[None, :, :] - robots_m[:, None, :]
     distance = np.maximum(np.hypot(offset[..., 0], offset[..., 1]), min_range_m)
-    return np.asarray(10.0 * path_loss_exponent * np.log10(distance))
+    return law.loss_db(np.log10(distance), antenna.law)
 
 
 def log_likelihood_exact(
     points_m: FloatArray, robots_m: FloatArray, rss_dbm: FloatArray, antenna: Antenna, min_range_m: float
 ) -> FloatArray:
     """(n,) log of Theorem 1's product without its constant. `rss_dbm` (m,) is nan where nothing was heard."""
-    a = attenuation_db(points_m, robots_m, antenna.path_loss_exponent, min_range_m)
+    a = attenuation_db(points_m, robots_m, antenna, min_range_m)
     heard = ~np.isnan(rss_dbm)
     total = np.zeros(points_m.shape[0])
     for p in range(len(rss_dbm)):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
+from fieldkit.channel import law
 from fieldkit.channel.model import MIN_RANGE_M
 from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.likelihood import levels_loops
@@ -75,9 +76,7 @@ class PlaceNoise:
 
         E[p exp(-rate p T)] / E[exp(-rate p T)] over the shadowing that the place may have.
         """
-        mean = self.model.level_dbm[:, None] - self.model.ten_beta * np.log10(
-            np.maximum(range_m, MIN_RANGE_M)
-        )
+        mean = self.model.level_dbm[:, None] - self.model.antenna.loss_db(range_m)
         margin = mean - self.model.antenna.threshold_dbm - 0.5
         top, below = np.zeros(margin.shape), np.zeros(margin.shape)
         least = np.ones(margin.shape)
@@ -151,13 +150,13 @@ class PlaceNoise:
         """Mean squared standardised residual one step ahead of a source's readings, and how many there are."""
         squares: list[float] = []
         earlier = NOTHING_EARLIER
-        slope = self.model.ten_beta / np.log(10.0)
         alone = self.time_var + self.place_var
         furthest = DEEPEST * float(np.sqrt(self.place_var))
 
         def unsure_db2(ears: FloatArray) -> FloatArray:
             flat2 = ((ears[..., : NORTH + 1] - point_m) ** 2).sum(axis=-1)
             d2 = np.maximum(flat2 + ears[..., UP] ** 2, MIN_RANGE_M**2)
+            slope = law.slope_db(0.5 * np.log10(d2), self.model.ears.law)
             return np.asarray(slope**2 * ears[..., SIGMA] ** 2 / (d2 + ears[..., SIGMA] ** 2))
 
         def fainter_db(ears: FloatArray) -> FloatArray:

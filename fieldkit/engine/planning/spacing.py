@@ -64,7 +64,7 @@ def spacing_entropies(
                 np.ascontiguousarray(prior),
                 pairs,
                 levels,
-                10.0 * settings.antenna.path_loss_exponent,
+                settings.antenna.law,
                 settings.antenna.threshold_dbm,
                 settings.grid.cell_m / 2,
                 e11,

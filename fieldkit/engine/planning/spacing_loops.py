@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 
+from fieldkit.channel.law import Law
 from fieldkit.engine.bits import fast_log
 from fieldkit.engine.compiled import njit
+from fieldkit.engine.likelihood.law_loops import loss_db
 from fieldkit.messages import FloatArray
 
 LEAST = 1e-300
@@ -67,7 +69,7 @@ def spacing_entropy(
     prior: FloatArray,
     pairs: FloatArray,
     levels: FloatArray,
-    ten_beta: float,
+    law: Law,
     threshold: float,
     min_range: float,
     e11: FloatArray,
@@ -98,7 +100,8 @@ def spacing_entropy(
             for i in range(n):
                 de = cells[i, 0] - pairs[t, r, 0]
                 dn = cells[i, 1] - pairs[t, r, 1]
-                a[r, i] = 0.5 * ten_beta * math.log10(max(de * de + dn * dn, min_range * min_range))
+                decades = 0.5 * math.log10(max(de * de + dn * dn, min_range * min_range))
+                a[r, i] = loss_db(decades, law)
         for i in range(n):
             apart[0, i] = (a[1, i] - a[0, i]) * per_db
             apart[1, i] = -apart[0, i]
