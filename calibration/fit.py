@@ -87,8 +87,7 @@ class FitResult:
 
     def mean_dbm(self, distance_m: FloatArray) -> FloatArray:
         """Mean level at a distance from the calibrated transmitter, for the first receiver."""
-        result: FloatArray = self.theta[0] - 10.0 * self.theta[1] * np.log10(distance_m)
-        return result
+        return self.antenna.mean_rss_dbm(distance_m)
 
 
 def fit(readings: Readings, options: Options | None = None) -> FitResult:

@@ -5,13 +5,11 @@ from typing import Any
 import numpy as np
 
 from calibration import channel
-from calibration.fit import FitResult
+from calibration.fit import PARAMETERS, FitResult
 from calibration.patterns import Pattern
 from calibration.verdict import Judgement
 from fieldkit.channel.antenna_file import SHAPES, AntennaFile, Receiver
 from fieldkit.channel.spread import table_of
-
-_NAMES = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
 
 
 def antenna_file(
@@ -45,7 +43,7 @@ def antenna_file(
         verdict=judgement.state,
         reasons=judgement.reasons,
         intervals_95=result.intervals_95,
-        covariance={"names": list(_NAMES), "matrix": covariance(result).tolist()},
+        covariance={"names": list(PARAMETERS), "matrix": covariance(result).tolist()},
         data=data,
         radio={name: text for name, text in (("family", family), ("setting", radio)) if text},
         spread=spread,

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration import likelihood
-from calibration.fit import FitResult
+from calibration.fit import PARAMETERS, FitResult
 from fieldkit.messages import FloatArray
-
-NAMES = ("power_at_1m_dbm", "path_loss_exponent", "log_sigma")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +28,7 @@ def profile(result: FitResult, name: str, points: int = 21) -> Profile:
     """The profile of "power_at_1m_dbm", "path_loss_exponent" or "sigma_db". Ends not found are infinite."""
     from iminuit import Minuit
 
-    index = -1 if name == "sigma_db" else NAMES.index(name)
+    index = -1 if name == "sigma_db" else PARAMETERS.index(name)
     index %= len(result.theta)
     inflation = float(result.covariance[index, index] / result.naive_covariance[index, index])
     labels = [f"x{i}" for i in range(len(result.theta))]

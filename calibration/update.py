@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration import channel
 from calibration.dataset import Readings
-from calibration.fit import FitResult, Options, fit
+from calibration.fit import PARAMETERS, FitResult, Options, fit
 from calibration.verdict import judge
 from fieldkit.channel.antenna_file import AntennaFile
 from fieldkit.channel.reml import MOST_PLACES, ROUNDING_VAR, by_place, design, min_range_m, typical_cell_m
@@ -21,7 +21,6 @@ from fieldkit.channel.spread import ChannelSpread
 from fieldkit.errors import CalibrationRefused
 from fieldkit.messages import FloatArray
 
-NAMES = ("power_at_1m_dbm", "path_loss_exponent", "sigma_db")
 SURE = 0.001
 """A difference that chance makes less often than this contradicts."""
 UNSTATED = (2.0, 0.2, 0.2)
@@ -79,9 +78,9 @@ def _stated(file: AntennaFile) -> tuple[FloatArray, FloatArray]:
     antenna = file.antenna
     values = np.array([antenna.power_at_1m_dbm, antenna.path_loss_exponent, np.log(antenna.sigma_db)])
     names = list(file.covariance.get("names", ()))
-    if not set(NAMES) <= set(names):
+    if not set(PARAMETERS) <= set(names):
         return values, np.diag(np.square(UNSTATED))
-    pick = [names.index(name) for name in NAMES]
+    pick = [names.index(name) for name in PARAMETERS]
     by = np.array([1.0, 1.0, 1.0 / antenna.sigma_db])
     matrix = np.asarray(file.covariance["matrix"], dtype=float)[np.ix_(pick, pick)] * np.outer(by, by)
     return values, _apart(matrix)
@@ -181,11 +180,11 @@ def _written(
         ),
         intervals_95={
             **file.intervals_95,
-            NAMES[0]: (float(low[0]), float(high[0])),
-            NAMES[1]: (float(low[1]), float(high[1])),
-            NAMES[2]: (float(np.exp(low[2])), float(np.exp(high[2]))),
+            PARAMETERS[0]: (float(low[0]), float(high[0])),
+            PARAMETERS[1]: (float(low[1]), float(high[1])),
+            PARAMETERS[2]: (float(np.exp(low[2])), float(np.exp(high[2]))),
         },
-        covariance={"names": list(NAMES), "matrix": (after_cov * np.outer(by, by)).tolist()},
+        covariance={"names": list(PARAMETERS), "matrix": (after_cov * np.outer(by, by)).tolist()},
         data=data,
         spread=_spread(file, result, after),
     )
@@ -233,7 +232,7 @@ def _lines(
     used: "np.ndarray[Any, Any]",
 ) -> tuple[str, ...]:
     rows = []
-    for k, name in enumerate(NAMES):
+    for k, name in enumerate(PARAMETERS):
         cells = []
         for values, matrix, has in ((old, old_cov, True), (new, new_cov, used[k]), (after, after_cov, True)):
             value, error = float(values[k]), float(np.sqrt(matrix[k, k]))

@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 from calibration.cli import app
 from calibration.dataset import Readings, from_arrays
-from calibration.update import NAMES, Update, update
+from calibration.fit import PARAMETERS
+from calibration.update import Update, update
 from fieldkit.channel.antenna_file import AntennaFile, dump_antenna, read_antenna
 from fieldkit.channel.model import Antenna
 from fieldkit.channel.spread import ChannelSpread
@@ -41,7 +42,7 @@ def walked(rng: np.random.Generator, exponent: float = 2.5, level_db: float = 0.
 def antenna_file(values: np.ndarray = TRUE) -> AntennaFile:
     spread = ChannelSpread(TIME_DB, PLACE_DB, LENGTH_M, assumed="for a test")
     law = Antenna(values[1], values[0], values[2], -120.0)
-    return AntennaFile(law, covariance={"names": list(NAMES), "matrix": STATED.tolist()}, spread=spread)
+    return AntennaFile(law, covariance={"names": list(PARAMETERS), "matrix": STATED.tolist()}, spread=spread)
 
 
 def tried(seed: int, exponent: float = 2.5, level_db: float | None = 0.0) -> Update:
@@ -60,7 +61,7 @@ def test_the_truth_is_inside_the_new_intervals_and_nearer_than_before() -> None:
         [
             [
                 file.intervals_95[name][0] <= true <= file.intervals_95[name][1]
-                for name, true in zip(NAMES, TRUE, strict=True)
+                for name, true in zip(PARAMETERS, TRUE, strict=True)
             ]
             for file in files
         ]
