@@ -11,6 +11,7 @@ from calibration import diagnose
 from calibration.fit import FitResult
 from calibration.patterns import Pattern
 from calibration.profile import Profile
+from fieldkit.look import MEASURED, MODEL
 from fieldkit.messages import FloatArray
 
 if TYPE_CHECKING:
@@ -18,11 +19,8 @@ if TYPE_CHECKING:
 
 BAND_SIGMA = 1.96
 _MOST_POINTS = 20_000
-
-
-def fit_png(result: FitResult) -> bytes:
-    """`fit_figure` as a PNG."""
-    return _png(fit_figure(result))
+MOST_SHAPES = 1_000
+"""More points than these are a picture within the figure: each as a shape of its own makes a page slow."""
 
 
 def fit_figure(result: FitResult) -> "Figure":
@@ -33,16 +31,17 @@ def fit_figure(result: FitResult) -> "Figure":
         distance,
         level,
         s=6.0 + 3.0 * np.sqrt(count),
-        color="#33658a",
+        color=MEASURED,
         alpha=0.6,
         linewidths=0,
+        rasterized=len(distance) > MOST_SHAPES,
         label="readings" if result.readings.gain_db is None else "readings less the antenna's gain",
     )
     r = result.readings
     line = np.geomspace(r.distance_m.min(), r.distance_m.max(), 200)
     mean, band = result.mean_dbm(line), BAND_SIGMA * result.antenna.sigma_db
-    axes.plot(line, mean, color="#d1495b", label=f"fit, exponent {result.antenna.path_loss_exponent:.2f}")
-    axes.fill_between(line, mean - band, mean + band, color="#d1495b", alpha=0.12, label="95 % of readings")
+    axes.plot(line, mean, color=MODEL, label=f"fit, exponent {result.antenna.path_loss_exponent:.2f}")
+    axes.fill_between(line, mean - band, mean + band, color=MODEL, alpha=0.12, label="95 % of readings")
     if r.missed.any():
         low = result.antenna.threshold_dbm
         axes.axhline(low, color="grey", linestyle="--", linewidth=1, label=f"threshold {low:.0f} dBm")
@@ -58,8 +57,8 @@ def fit_figure(result: FitResult) -> "Figure":
     return figure
 
 
-def residual_pngs(result: FitResult) -> dict[str, bytes]:
-    """Residuals against distance, place, and heading and time where they are known. Title to PNG.
+def residual_figures(result: FitResult) -> "dict[str, Figure]":
+    """Residuals against distance, place, and heading and time where they are known. Title to figure.
 
     Far away only what was heard has a residual: those lie above zero although the fit is right.
     """
@@ -78,20 +77,28 @@ def residual_pngs(result: FitResult) -> dict[str, bytes]:
         figure, axes = _figure(7.0, 2.6)
         shown = np.flatnonzero(~r.missed)
         shown = shown[:: max(1, len(shown) // _MOST_POINTS)]
-        axes.scatter(x[shown], residual[shown], s=5, color="#33658a", alpha=0.4, linewidths=0)
-        axes.axhline(0.0, color="#d1495b", linewidth=1)
+        axes.scatter(
+            x[shown],
+            residual[shown],
+            s=5,
+            color=MEASURED,
+            alpha=0.4,
+            linewidths=0,
+            rasterized=len(shown) > MOST_SHAPES,
+        )
+        axes.axhline(0.0, color=MODEL, linewidth=1)
         for sign in (-1, 1):
             axes.axhline(
-                sign * BAND_SIGMA * result.antenna.sigma_db, color="#d1495b", linewidth=0.7, linestyle=":"
+                sign * BAND_SIGMA * result.antenna.sigma_db, color=MODEL, linewidth=0.7, linestyle=":"
             )
         axes.set(xlabel=label, ylabel="residual (dB)")
         if name == "distance":
             _log_distance(axes)
-        pictures[name] = _png(figure)
+        pictures[name] = figure
     return pictures
 
 
-def polar_png(pattern: Pattern) -> bytes:
+def polar_figure(pattern: Pattern) -> "Figure":
     """Gain by heading, the antenna's front up, clockwise."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -104,13 +111,13 @@ def polar_png(pattern: Pattern) -> bytes:
     heading, gain = pattern.table()
     closed = np.append(heading, 360.0)
     gain, half = np.append(gain, gain[0]), BAND_SIGMA * pattern.gain_sigma(closed)
-    axes.plot(np.radians(closed), gain, color="#d1495b")
-    axes.fill_between(np.radians(closed), gain - half, gain + half, color="#d1495b", alpha=0.15, linewidth=0)
+    axes.plot(np.radians(closed), gain, color=MODEL)
+    axes.fill_between(np.radians(closed), gain - half, gain + half, color=MODEL, alpha=0.15, linewidth=0)
     axes.set_title(f"{pattern.name}, gain in dB")
-    return _png(figure)
+    return figure
 
 
-def profile_png(profiles: Sequence[Profile]) -> bytes:
+def profile_figure(profiles: Sequence[Profile]) -> "Figure":
     """How fast the fit gets worse as each parameter moves away; 1 is the end of the 95 % interval."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -119,19 +126,22 @@ def profile_png(profiles: Sequence[Profile]) -> bytes:
     FigureCanvasAgg(figure)
     for number, one in enumerate(profiles):
         axes = figure.add_subplot(1, len(profiles), number + 1)
-        axes.plot(one.value, one.drop, color="#33658a")
-        axes.axhline(1.0, color="#d1495b", linewidth=0.8, linestyle=":")
+        axes.plot(one.value, one.drop, color=MEASURED)
+        axes.axhline(1.0, color=MODEL, linewidth=0.8, linestyle=":")
         unit = "" if one.name == "path_loss_exponent" else " (dB)" if one.name == "sigma_db" else " (dBm)"
         axes.set(xlabel=one.name.removesuffix("_dbm").removesuffix("_db") + unit, ylim=(0.0, 1.2))
         axes.locator_params(axis="x", nbins=4)
-    return _png(figure)
+    return figure
 
 
 def save_plot(result: FitResult, path: Path) -> None:
-    """Write `fit_png` to a file."""
+    """Write `fit_figure` to a file, as SVG or PDF where it is called so, else as PNG."""
     from fieldkit.files import write_whole
 
-    write_whole(path, fit_png(result))
+    stream = BytesIO()
+    kind = path.suffix.lower().removeprefix(".")
+    fit_figure(result).savefig(stream, format=kind if kind in ("svg", "pdf") else "png")
+    write_whole(path, stream.getvalue())
 
 
 def _counted(result: FitResult) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -165,9 +175,3 @@ def _figure(width: float, height: float) -> "tuple[Figure, Any]":
     figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.add_subplot()
-
-
-def _png(figure: Any) -> bytes:
-    stream = BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()

@@ -1,7 +1,5 @@
 """One HTML page about a calibration that opens offline: the verdict in words, the numbers, the pictures."""
 
-from base64 import b64encode
-
 import numpy as np
 
 from calibration import plots
@@ -10,14 +8,14 @@ from calibration.fit import OUTLIER_SIGMA, FitResult
 from calibration.patterns import Pattern
 from calibration.profile import profile
 from calibration.verdict import Judgement
+from fieldkit.look import paper_css, svg
 
 _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Calibration of {{ name }}</title>
-<style>
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 50rem; margin: 2rem auto; color: #222 }
-table { border-collapse: collapse }
-td, th { padding: .2rem .8rem .2rem 0; text-align: left; border-bottom: 1px solid #ddd; vertical-align: top }
-td:nth-child(-n+3), th { white-space: nowrap } code { font-size: .85em; overflow-wrap: anywhere }
-img { max-width: 100% } .verdict { padding: .6rem 1rem; border-radius: .4rem; background: {{ colour }} }
+<meta name="viewport" content="width=device-width, initial-scale=1"><style>{{ css|safe }}
+.verdict { padding: .6rem 1rem; border-radius: .4rem; background: {{ colour }} }
+td:nth-child(-n+3) { white-space: nowrap }
+.numbers td, .numbers th { text-align: left; vertical-align: top }
+code { font-size: .85em; overflow-wrap: anywhere }
 </style>
 <h1>Calibration of {{ name }}</h1>
 <div class="verdict"><strong>{{ judgement.state|capitalize }}.</strong>
@@ -25,27 +23,27 @@ img { max-width: 100% } .verdict { padding: .6rem 1rem; border-radius: .4rem; ba
 {% if judgement.reasons %}<ul>{% for text in judgement.refusals %}<li><strong>Refused:</strong> {{ text }}.</li>
 {% endfor %}{% for text in judgement.warnings %}<li>{{ text }}.</li>{% endfor %}</ul>{% endif %}</div>
 <h2>Parameters</h2>
-<table><tr><th>parameter<th>value<th>95 % interval<th>meaning</tr>
-{% for row in rows %}<tr>{% for cell in row %}<td>{{ cell }}{% endfor %}</tr>{% endfor %}</table>
+<div class="scroll"><table class="numbers"><tr><th>parameter<th>value<th>95 % interval<th>meaning</tr>
+{% for row in rows %}<tr>{% for cell in row %}<td>{{ cell }}{% endfor %}</tr>{% endfor %}</table></div>
 <p>{{ counts }} Intervals count places, not readings: readings at one spot share its reflections.</p>
 {% if split %}<p>{{ split }}</p>{% endif %}
 <p>How the numbers were got: interval-censored maximum likelihood; {{ left_out }}</p>
 <p>The readings are in this page: <a download="readings.csv.gz" href="{{ data }}">save them as CSV</a>, or
 <code>fieldkit calibrate import</code> this page. They came from {{ name }}, SHA-256 <code>{{ sha }}</code>.</p>
-<h2>Readings against distance</h2><img alt="fit" src="data:image/png;base64,{{ fit }}">
+<h2>Readings against distance</h2>{{ fit|safe }}
 {% if polar %}<h2>Gain by heading</h2><p>{{ shape }}</p>
-<img alt="pattern" src="data:image/png;base64,{{ polar }}">{% endif %}
+{{ polar|safe }}{% endif %}
 <h2>What the fit leaves over</h2>
 <p>Reading minus fitted level; dotted: 95 %. {% if missed %}Missed packets have no residual, so that far away, where
 only the strong ones were heard, the points lie above zero although the fit is right.{% endif %}</p>
 {% for title, picture in residuals %}<h3>Against {{ title }}</h3>
-<img alt="residuals against {{ title }}" src="data:image/png;base64,{{ picture }}">{% endfor %}
+{{ picture|safe }}{% endfor %}
 <h2>How sure each parameter is</h2>
 <p>How much worse the fit gets as a parameter moves away, others adjusting; at 1 the 95 % interval ends.</p>
 <p>So got, the 95 % intervals are {% for name, low, high in ends %}<code>{{ name }}</code> {{ low }} to {{ high }}
 {{- "; " if not loop.last else "." }}{% endfor %} Where they differ from those above, few places or much censoring make
 the likelihood lopsided: trust these.</p>
-<img alt="profiles" src="data:image/png;base64,{{ profiles }}">
+{{ profiles|safe }}
 </html>
 """
 _MEANING = {
@@ -119,6 +117,7 @@ def report_html(result: FitResult, judgement: Judgement, pattern: Pattern | None
         Environment(autoescape=True)
         .from_string(_PAGE)
         .render(
+            css=paper_css(),
             name=result.readings.name,
             judgement=judgement,
             meaning=_MEANING[judgement.state],
@@ -130,13 +129,11 @@ def report_html(result: FitResult, judgement: Judgement, pattern: Pattern | None
             sha=result.readings.sha256 or "not known",
             left_out=_left_out(result),
             counts=f"{result.n_readings} readings, {result.n_missed} missed, {result.n_places} places.",
-            profiles=b64encode(plots.profile_png(curves)).decode(),
+            profiles=svg(plots.profile_figure(curves)),
             ends=[(curve.name, *map(_end, curve.interval_95)) for curve in curves],
-            polar="" if pattern is None else b64encode(plots.polar_png(pattern)).decode(),
+            polar="" if pattern is None else svg(plots.polar_figure(pattern)),
             shape="" if pattern is None else _shape(pattern),
-            fit=b64encode(plots.fit_png(result)).decode(),
-            residuals=[
-                (title, b64encode(png).decode()) for title, png in plots.residual_pngs(result).items()
-            ],
+            fit=svg(plots.fit_figure(result)),
+            residuals=[(title, svg(figure)) for title, figure in plots.residual_figures(result).items()],
         )
     )

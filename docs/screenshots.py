@@ -1,8 +1,8 @@
 """Make the manual's pictures of the pages: make screenshots
 
 Needs chromium and the development packages. A walk: one transmitter is hidden, a person walks to it by advice with
-a LoRa module, over a drawn picture of the ground. A mission: simulated, shown as a recording. The editor: a draft with
-two robots, a fence and a closed area. The pictures go to docs/pictures.
+a LoRa module, over a drawn picture of the ground. A mission: simulated, shown as a recording. The editor: from no file
+to a preflight, on two emulated rovers. The pictures go to docs/pictures.
 """
 
 import shutil
@@ -15,13 +15,17 @@ import numpy as np
 from PIL import Image, ImageDraw
 from playwright.sync_api import sync_playwright
 
+from fieldkit.clock import ScaledClock
 from fieldkit.geo import FieldFrame
+from fieldkit.plugins import load
 from fieldkit.recording.reader import open_recording
+from fieldkit.world.sources import TransientSource
 from mission.lab.synthetic import record_simulated, small_mission
 from mission.lab.walk_demo import ORIGIN_DEG, SIZE_M, demo_walk
 from mission.page import serve
 from mission.plan.serve import plan
 from mission.shell.flight import fly
+from mission.shell.setups import _free_udp_port, radio_of
 from mission.shell.warm_up import warm_up
 
 OUT = Path(__file__).with_name("pictures")
@@ -33,14 +37,15 @@ PHONE: dict[str, Any] = {
 }
 DESK: dict[str, Any] = {"viewport": {"width": 1440, "height": 900}, "color_scheme": "light"}
 DRAWN = {
-    "fence": ((0.2, 0.25), (0.75, 0.2), (0.8, 0.75), (0.25, 0.8)),
-    "keep_out": ((0.45, 0.45), (0.55, 0.42), (0.57, 0.55), (0.47, 0.57)),
+    "fence": ((0.16, 0.2), (0.8, 0.2), (0.84, 0.91), (0.16, 0.91)),
+    "keep_out": ((0.45, 0.4), (0.55, 0.37), (0.57, 0.5), (0.47, 0.52)),
 }
 """Corners, in shares of the map."""
 SEED = 7
 RATE = 20.0
 HEARD_MID_WALK = "7"
 LONGEST_MS = 300_000
+LONGEST_PX = 640
 PIXEL_M = 0.5
 FIELDS = ((201, 214, 168), (188, 205, 150), (222, 214, 172), (176, 198, 143))
 
@@ -98,25 +103,72 @@ def photograph(address: str, went_wrong: list[BaseException]) -> None:
 
 
 def photograph_editor(tab: Any, folder: Path) -> None:
-    """The mission editor with two robots, a fence and a closed area."""
-    small_mission(folder)
-    with plan(folder / "north-meadow.toml") as page:
+    """The steps from no file to a mission that may start, on two emulated rovers with radios."""
+    mission, port = small_mission(folder), _free_udp_port()
+    emulate = load("fieldkit.emulators", "field")
+    with (
+        emulate(
+            clock=ScaledClock(1.0),
+            frame=mission.frame,
+            antenna=radio_of(mission),
+            sources=(TransientSource(3.0, 3.0, 0.0, 1.0),),
+            robots=(("r1", 1, 3.0, 2.0, 0.0, "rover"), ("r2", 2, 6.0, 2.0, 0.0, "rover")),
+            vehicle_address=f"127.0.0.1:{port}",
+            seed=SEED,
+        ) as field,
+        plan(folder / "north-meadow.toml") as page,
+    ):
         tab.goto(page.command_address)
-        for _ in range(2):
-            tab.click("#add")
+        tab.wait_for_selector("#remarks li.red")
+        tab.screenshot(path=OUT / "plan-new.png")
+        write(tab, "#address", f"udpin:127.0.0.1:{port}")
+        tab.click("#heard")
+        for word in ("system 1", "system 2", "begin the field"):
+            tab.locator("#around .thing", has_text=word).locator("button").click()
         tab.wait_for_selector(".robot >> nth=1")
-        for k, box in enumerate(tab.locator(".robot datalist + *, .robot input[list]").all()[:2]):
-            box.fill(f"/dev/ttyUSB{k}")
-            box.press("Tab")
-            tab.wait_for_timeout(300)
-        box = tab.locator("#map").bounding_box()
-        for kind, corners in DRAWN.items():
-            tab.click(f"[data-draw={kind}]")
-            for x, y in corners:
-                tab.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
-            tab.click(f"[data-draw={kind}]")
-            tab.wait_for_timeout(300)
+        part(tab, "robots", "plan-heard")
+        for key, value in (("size_east_m", "10"), ("size_north_m", "10")):
+            write(tab, f'[data-key="field.{key}"]', value)
+        lat_deg, lon_deg, _ = mission.frame.to_geodetic(0.0, 0.0)
+        write(tab, '[data-key="field.origin_lat_deg"]', f"{lat_deg:.7f}")
+        write(tab, '[data-key="field.origin_lon_deg"]', f"{lon_deg:.7f}")
+        part(tab, "remarks", "plan-remarks")
+        for name, path in field.receiver_ports.items():
+            write(tab, f'[data-key="robot {name}: receiver.port"]', path)
+        draw(tab)
+        tab.wait_for_function("() => document.getElementById('verdict').className !== 'red'")
+        tab.click("#store")
+        tab.wait_for_function("() => document.getElementById('stored').textContent === 'stored'")
         tab.screenshot(path=OUT / "plan.png")
+        tab.click("#preflight")
+        tab.wait_for_selector("#checks >> text=before the start:")
+        part(tab, "start", "plan-preflight")
+
+
+def write(tab: Any, where: str, text: str) -> None:
+    """Type into a box, and wait until the server has taken it in."""
+    tab.fill(where, text)
+    tab.press(where, "Tab")
+    tab.wait_for_timeout(400)
+
+
+def draw(tab: Any) -> None:
+    """A fence and a closed area."""
+    box = tab.locator("#map").bounding_box()
+    for kind, corners in DRAWN.items():
+        tab.click(f"[data-draw={kind}]")
+        for x, y in corners:
+            tab.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        tab.click(f"[data-draw={kind}]")
+        tab.wait_for_timeout(300)
+
+
+def part(tab: Any, name: str, file: str) -> None:
+    """One panel of the editor, or the upper part of a long one."""
+    path = OUT / f"{file}.png"
+    tab.locator(f"section[aria-labelledby=h-{name}]").screenshot(path=path)
+    with Image.open(path) as shot:
+        shot.crop((0, 0, shot.width, min(shot.height, LONGEST_PX))).save(path)
 
 
 def photograph_recording(tab: Any, folder: Path) -> None:
@@ -160,7 +212,7 @@ def main() -> None:
     for path in OUT.glob("*.png"):  # a third of the size, and nobody sees it
         with Image.open(path) as shot:
             shot.convert("RGB").quantize(256).save(path, optimize=True)
-    print(f"written: {OUT}/{{plan, page, walk-phone, walk-map, walk-found}}.png")
+    print(f"written: {len(list(OUT.glob('*.png')))} pictures in {OUT}")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import numpy as np
 from fieldkit import __version__
 from fieldkit import settings as given
 from fieldkit.files import write_whole
+from fieldkit.look import paper_css, svg
 from mission.analysis.figures import figures
 
 GROUPS = ("planner", "belief", "name", "robots", "seed")
@@ -59,7 +60,7 @@ def summarise(rows: Sequence[dict[str, Any]], by: str) -> list[dict[str, Any]]:
 
 
 def _page(rows: Sequence[dict[str, Any]], groups: Sequence[dict[str, Any]], by: str) -> str:
-    from mission.analysis.plots import errors_by_group, found_by_time, svg
+    from mission.analysis.plots import errors_by_group, found_by_time
 
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
@@ -68,6 +69,7 @@ def _page(rows: Sequence[dict[str, Any]], groups: Sequence[dict[str, Any]], by: 
     )
     return environment.get_template("compare.html.j2").render(
         version=__version__,
+        css=paper_css(),
         rows=rows,
         groups=groups,
         by=by,

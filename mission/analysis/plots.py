@@ -12,6 +12,7 @@ from matplotlib.patches import Ellipse
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Affine2D
 
+from fieldkit.look import CANDIDATE, FOUND, INCONSISTENT, ROBOT_COLOURS, TRUTH
 from fieldkit.messages import SourceEstimate
 from fieldkit.settings import ELLIPSE_90
 from mission.analysis.coverage import SEARCHED, Coverage
@@ -20,24 +21,10 @@ from mission.analysis.refine import Fit, Refined
 from mission.analysis.use import Stretch, kind
 from mission.maps.background import Background, background_or_none
 
-ROBOT_COLOURS = ("#56b4e9", "#e69f00", "#cc79a7", "#0fb68a", "#f0e442", "#d55e00", "#8c7ae6", "#4a90d9")
-"""Those of the live page (after Okabe and Ito): a robot is the same colour on both."""
-FOUND, CANDIDATE, INCONSISTENT, TRUTH = "#0a7a4b", "#a65a00", "#5f6b76", "#000000"
-"""As on the live page by day."""
-
-
 SEEN_THROUGH = 0.8
 """How opaque a sure cell is over a picture of the ground."""
 BEYOND = 0.03
 """Share of the field that its map shows beyond each border."""
-
-
-def svg(figure: Figure) -> str:
-    """The figure as an `<svg>` element."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", bbox_inches="tight")
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
 
 
 def _subplots(*, figsize: tuple[float, float]) -> tuple[Figure, Axes]:

@@ -9,6 +9,7 @@ import numpy as np
 from fieldkit import __version__
 from fieldkit.coordinates import coordinates
 from fieldkit.files import write_whole
+from fieldkit.look import paper_css, svg
 from fieldkit.messages import SourceEstimate
 from fieldkit.settings import ELLIPSE_90
 from mission.analysis import words
@@ -81,6 +82,7 @@ def _page(
     return environment.get_template("report.html.j2").render(
         name=history.mission.file.name,
         version=__version__,
+        css=paper_css(),
         interactive=interactive,
         log=name,
         history=history,
@@ -100,13 +102,13 @@ def _page(
         faults=faults(history),
         notes=[note for note in history.notes if note[1] not in ("warning", "error")],
         stretches=rows,
-        map=plots.svg(plots.field_map(history)),
-        searched=plots.svg(plots.searched_map(history, covered)),
-        residuals=plots.svg(plots.residuals(fit)) if fit.residual_db.size >= 10 else "",
+        map=svg(plots.field_map(history)),
+        searched=svg(plots.searched_map(history, covered)),
+        residuals=svg(plots.residuals(fit)) if fit.residual_db.size >= 10 else "",
         fits=_fit_by_robot(history, fit),
-        probability=plots.svg(plots.probability_over_time(history)),
-        heard=plots.svg(plots.detections_over_time(history)),
-        use=plots.svg(plots.use_of_robots(history, rows)),
+        probability=svg(plots.probability_over_time(history)),
+        heard=svg(plots.detections_over_time(history)),
+        use=svg(plots.use_of_robots(history, rows)),
     )
 
 
@@ -191,9 +193,7 @@ def _row(history: History, source: SourceEstimate, refined: Refined | None) -> d
         "error_m": _off(history, source.east_m, source.north_m),
         "refined": refined,
         "receptions": _receptions(history, refined),
-        "map": plots.svg(plots.source_map(history, source, refined))
-        if source.state != "inconsistent"
-        else "",
+        "map": svg(plots.source_map(history, source, refined)) if source.state != "inconsistent" else "",
     }
     if refined is not None:
         lat, lon, _ = history.mission.frame.to_geodetic(refined.east_m, refined.north_m)

@@ -30,13 +30,16 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from fieldkit import settings as given
 from fieldkit.errors import ConfigError
+from fieldkit.look import TYPEFACES
 from mission.page.commands import Question, checked_command, message_of, number_of, question_of, token_of
 from mission.page.protocol import Answer, Rights, text_of
 
 logger = logging.getLogger(__name__)
 
 STATIC = Path(__file__).parent / "static"
-FILES = {path.name: path for path in STATIC.iterdir() if path.suffix in (".html", ".js", ".css", ".svg")}
+FILES = TYPEFACES | {
+    path.name: path for path in STATIC.iterdir() if path.suffix in (".html", ".js", ".css", ".svg")
+}
 NEWS_WAITING = 200
 """News kept for a browser that does not take them."""
 LONGEST_MESSAGE = 16_384

@@ -1,6 +1,6 @@
 // @ts-check
 // Probability over time: that one is still left, and that each source is where the mark is.
-import { $, fitCanvas, penOf } from "./dom.js";
+import { $, fitCanvas, FONT, penOf } from "./dom.js";
 import { model } from "./model.js";
 import { clock } from "./panels.js";
 
@@ -23,7 +23,7 @@ export function chart() {
   const x = (t) => box.left + (t / last) * (box.right - box.left);
   /** @param {number} p */
   const y = (p) => box.bottom - p * (box.bottom - box.top);
-  pen.font = "11px system-ui"; pen.lineWidth = 1; pen.textBaseline = "middle"; pen.textAlign = "right";
+  pen.font = `11px ${FONT}`; pen.lineWidth = 1; pen.textBaseline = "middle"; pen.textAlign = "right";
   for (const p of [0, 0.5, 1]) {
     pen.strokeStyle = ink("line"); pen.beginPath(); pen.moveTo(box.left, y(p)); pen.lineTo(box.right, y(p)); pen.stroke();
     pen.fillStyle = ink("faint"); pen.fillText(`${100 * p} %`, box.left - 6, y(p));

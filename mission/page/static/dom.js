@@ -53,3 +53,6 @@ export function fitCanvas(canvas, pen) {
   if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
 }
+
+// On a canvas no style is inherited.
+export const FONT = "Inter, system-ui, sans-serif";

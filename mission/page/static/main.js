@@ -108,5 +108,6 @@ setUpTimeline();
 setUpSound();
 connect(onMessage, showState);
 setInterval(() => { showState(); showStale(); }, 500);
+document.fonts.ready.then(() => { model.version.grids += 1; }); // what the canvas wrote before was in another typeface
 requestAnimationFrame(refresh);
 Object.assign(window, { fieldkit: model }); // for a look from the console

@@ -1,6 +1,6 @@
 // @ts-check
 // The field in metres, north up: belief or what was searched, tracks, plans, sources with their 90 % region, robots.
-import { $, find, fitCanvas, penOf } from "./dom.js";
+import { $, find, fitCanvas, FONT, penOf } from "./dom.js";
 import { colourOf, isOld, model, placeOf, shownFrame, shownGrid } from "./model.js";
 import { drawPicture, frameView, looking, rounded, toMetres, toPixels, view, X, Y } from "./mapview.js";
 import { setUpGestures } from "./gestures.js";
@@ -101,7 +101,7 @@ function path(points, close = false) {
 const outlined = (colour, under, over) => [[css.map, under], [colour, over]];
 
 /** @param {string} text @param {number} x @param {number} y @param {string} colour @param {string} font */
-function halo(text, x, y, colour, font = "600 12px system-ui") {
+function halo(text, x, y, colour, font = `600 12px ${FONT}`) {
   pen.font = font;
   pen.lineWidth = 3;
   pen.strokeStyle = css.map;
@@ -144,7 +144,7 @@ function drawAxes(field) { // Lines over the field; their numbers stay in sight.
   pen.lineWidth = 1;
   pen.strokeStyle = css.line;
   pen.fillStyle = css.dim;
-  pen.font = "11px system-ui";
+  pen.font = `11px ${FONT}`;
   pen.globalAlpha = 0.55;
   pen.beginPath();
   for (const e of easts) { pen.moveTo(X(e), Y(0)); pen.lineTo(X(e), Y(field.north_m)); }
@@ -262,11 +262,11 @@ function drawSources(frame, places) {
     places.block(x, y, 8);
   }
   pen.textAlign = "left"; pen.textBaseline = "top";
-  pen.font = "700 12px system-ui";
+  pen.font = `700 12px ${FONT}`;
   for (const group of groups) { // what is found has the first choice of where its words go
     const text = wordsOf(group);
     const { left, top, free } = places.place(group.x, group.y, pen.measureText(text).width, 14);
-    if (free || group.source.state !== "candidate") halo(text, left, top, inkOf(group.source.state), "700 12px system-ui");
+    if (free || group.source.state !== "candidate") halo(text, left, top, inkOf(group.source.state), `700 12px ${FONT}`);
   }
 }
 /** @param {number} x @param {number} y @param {boolean} turned */
@@ -328,7 +328,7 @@ function drawRobots(frame, places) {
     pen.restore();
   }
   pen.textAlign = "left"; pen.textBaseline = "top";
-  pen.font = "600 12px system-ui";
+  pen.font = `600 12px ${FONT}`;
   for (const robot of frame.robots) {
     const here = placeOf(robot);
     if (!here) continue;
@@ -366,7 +366,7 @@ function drawNorthAndScale() {
   pen.strokeStyle = css.map; pen.lineWidth = 4; pen.stroke();
   pen.fillStyle = css.text; pen.fill();
   pen.textAlign = "center";
-  halo("N", x, top - 1, css.text, "700 13px system-ui");
+  halo("N", x, top - 1, css.text, `700 13px ${FONT}`);
 }
 
 function drawPin() {
@@ -399,7 +399,7 @@ function drawMeasure() {
   pen.textAlign = "center"; pen.textBaseline = "bottom";
   const [from, to] = points;
   const [[x, y], [x2, y2]] = [toPixels(from), toPixels(to)];
-  halo(said(from, to), (x + x2) / 2, (y + y2) / 2 - 8, css.text, "700 13px system-ui");
+  halo(said(from, to), (x + x2) / 2, (y + y2) / 2 - 8, css.text, `700 13px ${FONT}`);
 }
 
 export function draw() {

@@ -1,6 +1,6 @@
 // @ts-check
 // The field that is being planned: its border, fence and closed areas, drawn by taps and moved by their corners.
-import { $, fitCanvas, penOf } from "./dom.js";
+import { $, fitCanvas, FONT, penOf } from "./dom.js";
 import { drawPicture, frameView, rounded, showWhole, toMetres, X, Y, zoomBy } from "./mapview.js";
 import { setUpGestures } from "./gestures.js";
 /** @import { Corners, Pixel, Place } from "./mapview.js" */
@@ -60,7 +60,7 @@ export function draw() {
   path(border, true);
   pen.strokeStyle = ink("panel"); pen.lineWidth = 4; pen.stroke(); // also seen over a picture
   pen.strokeStyle = ink("text"); pen.lineWidth = 1.5; pen.stroke();
-  pen.fillStyle = ink("text"); pen.font = "12px system-ui"; pen.textAlign = "center"; pen.textBaseline = "top";
+  pen.fillStyle = ink("text"); pen.font = `12px ${FONT}`; pen.textAlign = "center"; pen.textBaseline = "top";
   write(`${east_m} m`, X(east_m / 2), Y(0) + 8);
   pen.textAlign = "right"; pen.textBaseline = "middle";
   write(`${north_m} m`, X(0) - 8, Y(north_m / 2));
@@ -123,6 +123,7 @@ export function setUpMap(moved) {
   $("zoom-in").addEventListener("click", () => { zoomBy(1.6); draw(); });
   $("zoom-out").addEventListener("click", () => { zoomBy(1 / 1.6); draw(); });
   $("zoom-whole").addEventListener("click", () => { showWhole(); draw(); });
+  document.fonts.ready.then(draw);
   new ResizeObserver(draw).observe(canvas);
   matchMedia("(prefers-color-scheme: light)").addEventListener("change", draw);
 }
