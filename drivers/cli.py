@@ -36,7 +36,7 @@ def _finite(**options: float) -> None:
             raise ConfigError(f"--{name.replace('_', '-')}: expected a number, got {value}")
 
 
-Seed = Annotated[int, typer.Option(help="Same seed, same sources and noise.")]
+Seed = Annotated[int, typer.Option(min=0, help="Same seed, same sources and noise.")]
 
 
 @emulate.command()

@@ -18,7 +18,7 @@ import serial
 
 from drivers.arrival import Attention, wait_readable
 from fieldkit.clock import Clock
-from fieldkit.errors import DeviceError
+from fieldkit.errors import ConfigError, DeviceError
 
 READ_TIMEOUT_S = 0.1
 """A read gives up after this long, so that whoever reads can see that it should stop."""
@@ -215,10 +215,10 @@ def port_of(identity: UsbIdentity) -> str | None:
 
 
 def host_and_port(text: str) -> tuple[str, int]:
-    """`host:port`, split. Raises `ValueError` that says what was expected."""
+    """`host:port`, split. Raises `ConfigError` that says what was expected."""
     host, separator, port = text.rpartition(":")
     if not separator or not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise ValueError(f"expected host:port, got {text!r}")
+        raise ConfigError(f"expected host:port, got {text!r}")
     return host.strip("[]"), int(port)
 
 

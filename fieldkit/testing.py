@@ -25,7 +25,7 @@ Item = TypeVar("Item")
 Act = Callable[[], Awaitable[None]]
 Condition = Callable[[list[Any]], bool]
 
-PATIENCE_S = 10.0
+PATIENCE_S = 30.0
 """Wall time that a test waits for something to happen."""
 UNPLUG_S = 2.0
 """Wall time within which a receiver must notice that its device is gone."""

@@ -207,7 +207,9 @@ def ask(results: Path, jobs: Sequence[Job], sql: str = "") -> tuple[list[str], l
                     f"create view {view} as select * from read_parquet([{listed}], union_by_name = true)"
                 )
         try:
-            found = connection.execute(sql or SUMMARY)
+            found = connection.execute(sql if sql and sql.strip() else SUMMARY)
+            if found is None or found.description is None:
+                raise DataError("the SQL asks for nothing: expected a select")
             return [column[0] for column in found.description], found.fetchall()
         except duckdb.Error as error:
             raise DataError(f"the question cannot be answered: {error}") from error

@@ -21,7 +21,7 @@ from mission.cli.options import (
 
 
 def demo(
-    seed: Annotated[int, typer.Option(help="Where the transmitters hide, and all other chance.")] = 7,
+    seed: Annotated[int, typer.Option(min=0, help="Where the transmitters hide, and all other chance.")] = 7,
     walk: Annotated[
         str,
         typer.Option(
@@ -142,7 +142,7 @@ def study(
     only: Annotated[
         str | None, typer.Option(metavar="WORDS", help="Only the scenarios whose name has these words.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the first trial; the others count up.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the first trial; the others count up.")] = 0,
     out: Annotated[
         Path | None, typer.Option(help="Folder for results and plot; a killed study goes on where it was.")
     ] = None,

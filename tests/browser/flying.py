@@ -101,7 +101,7 @@ def flying(folder: Path, on_foot: frozenset[str] = frozenset()) -> Iterator[Flow
         yield Flown(shown.page, runner, fleet, receivers, operated)
         with contextlib.suppress(RuntimeError):  # the test has ended the mission itself: its loop is closed
             loop.call_soon_threadsafe(runner.put, Operator(clock.now_ns(), "end"))
-        thread.join(30.0)
+        thread.join(120.0)
         assert not thread.is_alive()
 
 

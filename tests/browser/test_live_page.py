@@ -125,11 +125,8 @@ def test_belief_robots_and_sources_are_drawn(tab: Any, flown: Flown) -> None:
 
 
 def test_what_is_heard_shows_with_its_levels(tab: Any, flown: Flown) -> None:
-    def hear() -> bool:
-        flown.receivers["r1"].hear(-61.0)
-        return bool(flown.runner.kernel.detections)
-
-    wait_until(hear)
+    flown.receivers["r1"].hear(-61.0)
+    wait_until(lambda: flown.runner.kernel.detections, 120.0)  # the first is when loops are compiled
     tab.wait_for_selector("#signals >> text=-61 dBm")
 
 
