@@ -1,10 +1,13 @@
-"""What commands say on standard error while they work: lines, logs and progress. `--quiet` silences all but trouble."""
+"""What commands say: lines, logs and progress on standard error, tables on standard output.
+
+`--quiet` silences all of the former but trouble.
+"""
 
 import logging
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any, TextIO
 
 _quiet = False
 
@@ -66,3 +69,36 @@ def progress(words: str) -> Iterator[Report]:
             bar.update(task, total=1.0, completed=share, description=text or words)
 
         yield report
+
+
+def show_table(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Rows with one set of names, on standard output: side by side where they fit, else each as a block of its own."""
+    from rich import box
+    from rich.console import Console
+    from rich.measure import Measurement
+    from rich.table import Table
+    from rich.text import Text
+
+    if not rows:
+        return
+    console = Console()
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for number, name in enumerate(rows[0]):
+        side: Any = "left" if number == 0 else "right"
+        table.add_column(Text(name.replace("_", " ")), no_wrap=True, justify=side)
+    for row in rows:
+        table.add_row(*(Text(_plain(value)) for value in row.values()))
+    room = console.options.update(max_width=10_000)
+    if Measurement.get(console, room, table).maximum <= console.width:
+        console.print(table)
+        return
+    for row in rows:
+        console.print()
+        for name, value in row.items():
+            console.print(
+                Text(f"{' '.join(name.replace('_', ' ').split())}: {_plain(value)}"), soft_wrap=True
+            )
+
+
+def _plain(value: Any) -> str:
+    return "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

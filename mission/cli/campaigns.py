@@ -1,6 +1,7 @@
 """`fieldkit compare` and `fieldkit analyze`: many recordings at once. Heavy imports stay inside the commands."""
 
 import json
+import os
 import tempfile
 from pathlib import Path
 from typing import Annotated, Any
@@ -8,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from fieldkit import settings as given
+from fieldkit.console import show_table
 
 _JSON = Annotated[bool, typer.Option("--json", help="Print the result alone, as JSON, on standard output.")]
 
@@ -45,19 +47,9 @@ def compare(
     if as_json:
         typer.echo(json.dumps(said | {"page": None if out is None else str(out)}, indent=2))
         return
-    names = list(said["groups"][0])
-    _table(names, [tuple(group.values()) for group in said["groups"]])
-    columns = (
-        "recording",
-        "planner",
-        "duration_s",
-        "found",
-        "true_sources",
-        "false_finds",
-        "localised_all_s",
-        "mean_error_m",
-    )
-    _table(list(columns), [tuple(row[name] for name in columns) for row in said["missions"]])
+    show_table([_of_group(by, group) for group in said["groups"]])
+    names = _short([row["recording"] for row in said["missions"]])
+    show_table([_of_mission(name, row) for name, row in zip(names, said["missions"], strict=True)])
     if out is not None:
         typer.echo(f"written: {out}")
     if pdf is not None:
@@ -114,25 +106,46 @@ def analyze(
     else:
         typer.echo(f"{len(jobs)} recordings, {new - len(refused)} of them taken in now; in {to}")
         if columns:
-            _table(columns, rows)
+            show_table([dict(zip(columns, row, strict=True)) for row in rows])
         for each in refused:
             typer.echo(f"not taken in: {each['error']}", err=True)
     if refused:
         raise typer.Exit(2)
 
 
-def _table(columns: list[str], rows: list[tuple[Any, ...]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
+def _of_group(by: str, group: dict[str, Any]) -> dict[str, Any]:
+    """A group's line; times are of the missions that found all."""
+    return {
+        by: group[by],
+        "missions": group["missions"],
+        "not all\nfound": group["unfinished"],
+        "time to all,\ns (worst)": _with_worst(group["median_time_s"], group["worst_time_s"], ".0f"),
+        "error,\nm (worst)": _with_worst(group["median_error_m"], group["worst_error_m"], ".2f"),
+        "false": group["false_finds"],
+    }
 
-    table = Table()
-    for name in columns:
-        table.add_column(name.replace("_", " "), overflow="fold")
-    for row in rows:
-        table.add_row(
-            *(
-                "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-                for value in row
-            )
-        )
-    Console().print(table)
+
+def _of_mission(name: str, row: dict[str, Any]) -> dict[str, Any]:
+    """A mission's line."""
+    of = "" if row["true_sources"] is None else f" of {row['true_sources']}"
+    return {
+        "recording": name,
+        "planner": row["planner"],
+        "lasted,\ns": f"{row['duration_s']:.0f}",
+        "found": f"{row['found']}{of}",
+        "false": row["false_finds"],
+        "all\nafter, s": None if row["localised_all_s"] is None else f"{row['localised_all_s']:.0f}",
+        "error,\nm (worst)": _with_worst(row["mean_error_m"], row["worst_error_m"], ".2f"),
+    }
+
+
+def _with_worst(usual: float | None, worst: float | None, form: str) -> str | None:
+    return None if usual is None or worst is None else f"{usual:{form}} ({worst:{form}})"
+
+
+def _short(recordings: list[str]) -> list[str]:
+    """What tells recordings apart: without the folders that all are in, and without the name that most have."""
+    paths = [Path(each).absolute() for each in recordings]
+    shared = Path(os.path.commonpath([path.parent.parent for path in paths]))
+    names = [path.relative_to(shared) for path in paths]
+    return [str(name.parent if name.name == "mission.mcap" else name) for name in names]
