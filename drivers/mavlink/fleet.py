@@ -204,6 +204,9 @@ class MavlinkLink:
         """Send our heartbeat to every vehicle heard on this link."""
         if not self._is_open:
             return
+        now_s = self._clock.elapsed_s()
+        for steered in self._steered.values():
+            steered.vehicle.beaten(now_s)
         message = mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
         )

@@ -21,6 +21,8 @@ STATE_EVERY_S = 1.0
 SAME_ID_S = 3.0
 """A vehicle silent for this long may have moved to another address."""
 FORGET_S = 10.0
+SILENT_S = 1.4
+"""A heartbeat of ours that is later: the shortest failsafe that a vehicle can be set to is not much longer."""
 MAX_SPEAKERS = 8
 REBOOT_BACK_MS = 1000
 """A boot clock further back than this means a reboot; less is a datagram out of order."""
@@ -80,6 +82,9 @@ class Vehicle:
         self.doubles: set[Peer] = set()
         """Addresses that claim the same system id; not empty means: do not steer."""
         self.owner: Literal["nobody", "us", "lost"] = "nobody"
+        self._beat_s = math.nan
+        self._silence = (0.0, -math.inf)
+        """How long our heartbeat was last missing for longer than usual, and when that ended."""
         self.commanded: VehicleMode | None = None
         """The mode we asked for last."""
         self._confirmed = False
@@ -193,10 +198,27 @@ class Vehicle:
         self._speakers = dict(kept[-MAX_SPEAKERS:])
         self.doubles &= self._speakers.keys()
 
+    def beaten(self, now_s: float) -> None:
+        """Our heartbeat leaves for it."""
+        if now_s - self._beat_s > SILENT_S:
+            self._silence = (now_s - self._beat_s, now_s)
+        self._beat_s = now_s
+
+    def _silent_s(self, now_s: float) -> float:
+        """For how long it has not heard us, now or a moment ago; 0: it has."""
+        last_s, ended_s = self._silence
+        present_s = now_s - self._beat_s if now_s - self._beat_s > SILENT_S else 0.0
+        return max(present_s, last_s if now_s - ended_s < FORGET_S else 0.0)
+
     def _check_ownership(self, now_s: float) -> None:
         is_ours = self.actual_mode == self.commanded
         if self.owner == "us" and self._confirmed and not is_ours:
-            self._say(now_s, f"someone else put it in {self._mode_words()}: no longer ours to steer")
+            mode, silent_s = self._mode_words(), self._silent_s(now_s)
+            if silent_s:  # nobody may look for a stranger where this computer was too slow
+                why = f"went to {mode}: its failsafe, or someone else; no heartbeat of ours for {silent_s:.0f} s"
+            else:
+                why = f"someone else put it in {mode}"
+            self._say(now_s, f"{why}: no longer ours to steer")
             self._lose(self._why)
         self._confirmed = self._confirmed or is_ours
 

@@ -76,6 +76,19 @@ async def test_must_lose_ownership_when_someone_else_changes_the_mode():
         assert t.rovers[0].autopilot.mode == MANUAL
 
 
+async def test_its_failsafe_is_named_where_this_computer_was_silent():
+    async with team(gcs_failsafe_s=5.0) as t:
+        await t.link.acquire_control("ada")
+        t.beating = False
+        await until(lambda: t.rovers[0].autopilot.mode == HOLD)
+        t.beating = True
+        await until(lambda: t.link._steered[1].vehicle.owner == "lost")
+        with pytest.raises(
+            VehicleRefused, match=r"its failsafe, or someone else; no heartbeat of ours for \d+ s"
+        ):
+            await t.link.goto("ada", here())
+
+
 async def test_must_confirm_the_target_and_send_it_again():
     async with team() as t:
         await t.link.acquire_control("ada")
