@@ -49,6 +49,8 @@ class WalkSpec:
     ignores: float = IGNORES
     behind_db: float = 8.0
     gnss_sigma_m: float = 3.0
+    altitude_m: float = 430.0
+    """Of the field above the sea, as the satellite receiver says it: few people search on a beach."""
 
 
 def emulate(advice: Callable[[], tuple[float, float] | None], **spec: Any) -> "EmulatedWalk":
@@ -143,7 +145,7 @@ class EmulatedWalk:
             spec.clock.now_ns(),
             east,
             north,
-            0.0,
+            spec.altitude_m,
             walker.speed_m_s,
             walker.heading_deg,
             hdop=spec.gnss_sigma_m / WORTH_M,

@@ -38,6 +38,13 @@ def advise(mission: Mission) -> list[str]:
             f"association.max_pose_gap_s of {mission.kernel.max_pose_gap_s:g} s bridges no gap between positions of "
             "a satellite receiver, which come once a second: what is not heard would count for little; set it to 5"
         )
+    placed = {robot for table in by_satellite for robot in (table.model_extra or {}).get("robots", {})}
+    aloft = sorted(placed.intersection(mission.safety.altitude_m))
+    if aloft and mission.file.field.origin_alt_m == 0.0:
+        notes.append(
+            f"{', '.join(aloft)} flies by a satellite receiver, which gives heights above the sea, and "
+            "field.origin_alt_m is 0: set it to the field's own, or its height above the ground is wrong"
+        )
     if mission.kernel.association_window_s * engine.reference_rate_hz * engine.expected_sources > 0.1:
         notes.append(
             f"association.window_s of {mission.kernel.association_window_s} s will join one transmission in ten "

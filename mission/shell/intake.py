@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import AsyncIterator, Callable, Container, Iterable
+from dataclasses import replace
 
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError
@@ -10,6 +11,9 @@ from fieldkit.ports import PositionSource, Receiver, VehicleLink
 
 logger = logging.getLogger(__name__)
 
+BY_SATELLITE = "gnss"
+"""Origin of poses whose height is above the sea, and good to some ten metres."""
+
 
 def streams_of(
     receivers: Iterable[Receiver],
@@ -17,13 +21,17 @@ def streams_of(
     positions: Iterable[PositionSource],
     clock: Clock,
     note: Callable[[str, str], None],
+    flying: Container[str] = (),
 ) -> list[tuple[str, AsyncIterator[Event]]]:
-    """Every device's events, with its name. A robot that another source places has no poses from its link."""
+    """Every device's events, with its name. A robot that another source places has no poses from its link.
+
+    `flying`: robots that leave the ground. What a satellite receiver says of the height of others is left out.
+    """
     sources = tuple(positions)
     placed = {robot for source in sources for robot in source.robots}
     streams = [(f"receiver {r.robot}", from_receiver(r, clock)) for r in receivers]
     streams += [(f"link {' '.join(link.robots)}", from_link(link, clock, placed)) for link in links]
-    streams += [(f"positions {' '.join(p.robots)}", from_positions(p, note)) for p in sources]
+    streams += [(f"positions {' '.join(p.robots)}", from_positions(p, note, flying)) for p in sources]
     return streams
 
 
@@ -52,11 +60,15 @@ async def from_link(link: VehicleLink, clock: Clock, placed: Container[str]) -> 
             yield VehicleState(clock.now_ns(), robot, "unknown", False, False, None, str(error))
 
 
-async def from_positions(source: PositionSource, note: Callable[[str, str], None]) -> AsyncIterator[Event]:
+async def from_positions(
+    source: PositionSource, note: Callable[[str, str], None], flying: Container[str] = ()
+) -> AsyncIterator[Event]:
     """A source that fails leaves its robots without a position: safety holds them."""
     try:
         async for pose in source.poses():
-            yield pose
+            # Somebody on a plain 500 m above the sea is not 500 m from a transmitter at their feet.
+            on_the_ground = pose.origin == BY_SATELLITE and pose.robot not in flying
+            yield replace(pose, up_m=0.0) if on_the_ground else pose
     except DeviceError as error:
         logger.warning("positions of %s: %s", ", ".join(source.robots), error)
         note("warning", f"positions of {', '.join(source.robots)}: {error}")

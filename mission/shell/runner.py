@@ -152,7 +152,8 @@ class Runner:
     def _streams(self) -> list[tuple[str, AsyncIterator[Event]]]:
         """Every device's events, with a name for its task."""
         setup = self.setup
-        return streams_of(setup.receivers, setup.links, setup.positions, setup.clock, self._note)
+        flying = self.mission.safety.altitude_m
+        return streams_of(setup.receivers, setup.links, setup.positions, setup.clock, self._note, flying)
 
     async def _next(self) -> tuple[int, int, Event]:
         """What comes next out of the inbox. Raises what one of the tasks has raised."""

@@ -1,24 +1,30 @@
 """People in missions: advice, what safety asks of them, and a whole walk on emulated devices."""
 
 import math
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from fieldkit.cli import build
+from fieldkit.clock import RealClock
 from fieldkit.messages import GoTo, Hold, Operator, Pose, Tick, VehicleState, Waypoint
+from fieldkit.ports import PositionSource
 from fieldkit.world.walker import Walker, WanderingError, body_loss_db
 from mission.core.advice import advise
 from mission.core.kernel import Kernel
-from mission.core.mission_file import parse_mission
+from mission.core.mission_file import Mission, parse_mission
+from mission.core.tables import FieldTable
 from mission.core.walk_text import WalkOptions, walk_text
 from mission.lab.study.walk import GUIDES, Job, _lanes, summary, trial, walk_mission
 from mission.lab.synthetic import small_mission
 from mission.page.commands import checked_command
 from mission.safety.rules import Safety
+from mission.shell.intake import streams_of
 
 S = 10**9
 
@@ -163,6 +169,34 @@ def test_the_file_of_a_walk_is_a_mission_with_a_person() -> None:
     mission = walk_mission(3)
     assert mission.safety.on_foot == {"me"}
     assert mission.kernel.max_pose_gap_s >= 2.0, "a satellite receiver gives one position a second"
+
+
+async def test_a_height_above_the_sea_is_none_above_the_ground_for_those_who_walk() -> None:
+    class Satellites:
+        robots = ("ada", "copter")
+
+        async def poses(self) -> AsyncIterator[Pose]:
+            for robot in self.robots:
+                yield Pose(S, robot, 1.0, 2.0, 545.0, sigma_m=3.0, origin="gnss")
+
+    source = cast(PositionSource, Satellites())
+    (stream,) = streams_of((), (), (source,), RealClock(), lambda *_: None, flying=("copter",))
+    assert [(event.robot, event.up_m) async for event in stream[1] if isinstance(event, Pose)] == [
+        ("ada", 0.0),
+        ("copter", 545.0),
+    ]
+
+
+def test_a_drone_placed_by_satellites_needs_to_know_how_high_its_field_lies() -> None:
+    walk = walk_mission(3)
+    flown = replace(walk, safety=replace(walk.safety, altitude_m={"me": 10.0}))
+    high = replace(flown, file=flown.file.model_copy(update={"field": at_500_m(flown)}))
+    for mission, warned in ((walk, False), (flown, True), (high, False)):
+        assert any("origin_alt_m is 0" in note for note in advise(mission)) == warned
+
+
+def at_500_m(mission: Mission) -> FieldTable:
+    return mission.file.field.model_copy(update={"origin_alt_m": 500.0})
 
 
 def test_a_satellite_receiver_and_short_gaps_are_advised_against() -> None:

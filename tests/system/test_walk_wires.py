@@ -94,7 +94,7 @@ async def test_a_walk_records_what_comes_over_its_wires_though_gpsd_dies_once(
         step = 0
         while walking:
             step += 1
-            gpsd.tell(Seen(clock.now_ns(), 100.0 + 0.2 * step, 100.0, 0.0, 1.0, 90.0))
+            gpsd.tell(Seen(clock.now_ns(), 100.0 + 0.2 * step, 100.0, 430.0, 1.0, 90.0))
             await asyncio.sleep(0.2)
 
     await gpsd.open()
@@ -136,3 +136,4 @@ async def test_a_walk_records_what_comes_over_its_wires_though_gpsd_dies_once(
     gaps_s = [(b.t_ns - a.t_ns) * 1e-9 for a, b in pairwise(poses)]
     assert len(poses) > 30 and max(gaps_s) > 1.0, "it was away"
     assert all(0.0 < pose.east_m < 300.0 and 0.0 < pose.north_m < 300.0 for pose in poses)
+    assert {pose.up_m for pose in poses} == {0.0}, "430 m above the sea is on the ground here"
