@@ -118,6 +118,11 @@ class TcpLink:
         self._socket.close()
 
 
+def absent(link: ByteLink) -> str:
+    """Why nobody can be heard though the port is open; empty where that is not known of the link."""
+    return str(getattr(link, "absent", ""))
+
+
 def arrival_ns(link: ByteLink, clock: Clock) -> int:
     """Mission time at which the first byte of what was read last came in."""
     for _ in range(3):
@@ -135,6 +140,11 @@ class TappedLink:
     def __init__(self, link: ByteLink, tap: Callable[[bytes], None]) -> None:
         self._link, self._tap = link, tap
         self.write, self.close, self.arrived_s = link.write, link.close, link.arrived_s
+
+    @property
+    def absent(self) -> str:
+        """As the link itself says it."""
+        return absent(self._link)
 
     def read(self) -> bytes:
         if data := self._link.read():
@@ -156,6 +166,11 @@ class WatchedLink:
     def settled(self) -> bool:
         """What was read last came while somebody looked."""
         return self._attention.settled
+
+    @property
+    def absent(self) -> str:
+        """As the link itself says it."""
+        return absent(self._link)
 
     def read(self) -> bytes:
         away_s = self._attention.look()

@@ -115,10 +115,11 @@ class ReconnectingReceiver(ABC):
                 await asyncio.sleep(REOPEN_EVERY_S)
                 try:
                     await self._in_worker(self._open_and_announce, False)
-                except DeviceError as error:
+                except Exception as error:  # whatever it answers now, it may be itself again later
                     if str(error) != last:
                         last = str(error)
-                        logger.info("%s", error)
+                        level = logging.INFO if isinstance(error, DeviceError) else logging.WARNING
+                        logger.log(level, "%s: %s", self._name, error)
 
     def _open_and_announce(self, first: bool) -> None:
         words = self._open_device(first)

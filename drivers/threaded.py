@@ -1,10 +1,13 @@
 """A receiver whose device is read in a thread of its own, from when readings are wanted until the device is closed."""
 
+import logging
 import threading
 from collections.abc import Callable
 
 from drivers.reconnecting import ReconnectingReceiver
 from fieldkit.ports import DriverContext
+
+logger = logging.getLogger(__name__)
 
 
 class ThreadedReceiver(ReconnectingReceiver):
@@ -22,7 +25,15 @@ class ThreadedReceiver(ReconnectingReceiver):
     def _read_by(self, read: Callable[..., None], *arguments: object) -> None:
         """What the thread runs, once readings are wanted."""
         self._running.set()
-        self._thread = threading.Thread(target=read, args=arguments, name=self._name, daemon=True)
+
+        def read_or_say_why_not() -> None:
+            try:
+                read(*arguments)
+            except Exception as error:  # a reader that is gone without a word would pass for silence
+                logger.exception("%s: its reader failed", self._name)
+                self._on_lost(f"its reader failed ({type(error).__name__}: {error})")
+
+        self._thread = threading.Thread(target=read_or_say_why_not, name=self._name, daemon=True)
 
     def _start(self) -> None:
         if self._thread is not None:

@@ -16,8 +16,9 @@ LAST_TIME = "kismet.device.base.last_time"
 class EmulatedKismet:
     """Serves while used as a context manager. `refused` are requests without the key."""
 
-    def __init__(self, key: str = "secret") -> None:
+    def __init__(self, key: str = "secret", clock_off_s: int = 0) -> None:
         self.refused = 0
+        self._off_s = clock_off_s
         self._key = key
         self._devices: dict[str, dict[str, Any]] = {}
         emulated = self
@@ -28,6 +29,7 @@ class EmulatedKismet:
                 allowed = self.headers.get("Cookie") == f"KISMET={emulated._key}"
                 emulated.refused += not allowed
                 since_s = int(self.path.split("/")[3])
+                since_s += emulated._now_s() if since_s < 0 else 0  # so long before now
                 answer = json.dumps(emulated._answer(asked, since_s)).encode()
                 self.send_response(200 if allowed else 401)
                 self.end_headers()
@@ -52,10 +54,14 @@ class EmulatedKismet:
         self._devices[mac] = {
             "kismet.device.base.macaddr": mac,
             "kismet.device.base.channel": channel,
-            LAST_TIME: int(time.time()),
+            LAST_TIME: self._now_s(),
             "kismet.device.base.packets.total": known + 1,
             "kismet.device.base.signal/kismet.common.signal.last_signal": round(rss_dbm),
         }
+
+    def _now_s(self) -> int:
+        """By its own clock."""
+        return int(time.time()) + self._off_s
 
     def _answer(self, asked: dict[str, Any], since_s: int) -> list[dict[str, Any]]:
         """Devices heard since then: the fields asked for, each under the name asked for."""

@@ -48,10 +48,14 @@ class MqttLink:
                 f"{device}: {host}:{port} does not let us subscribe to {topic!r} ({self._gone or 'no answer'})"
             )
 
-    def _subscribed(self, *_: Any) -> None:
-        self._ready = True
+    def _subscribed(self, client: Any, userdata: Any, number: int, codes: Any, *_: Any) -> None:
+        refused = [str(code) for code in codes if code.is_failure]
+        self._gone = self._gone or ", ".join(refused)
+        self._ready = not refused
 
     def _message(self, client: Any, userdata: Any, message: Any) -> None:
+        if message.retain:  # kept by the broker from before we came: nobody knows when it was heard
+            return
         line = bytes(message.payload)
         if self._lines.full():
             self._gone = "messages come faster than they are taken"

@@ -1,22 +1,27 @@
 """Kismet's devices as JSON lines: from its running server (REST), or from the database it writes.
 
 Written from Kismet's documents (kismetwireless.net/docs/api/devices, /docs/dev/kismetdb): `POST
-/devices/last-time/TIME/devices.json` with a list of fields gives the devices seen since; table `packets` of a kismetdb
+/devices/last-time/TIME/devices.json` with a list of fields gives the devices seen since, or within so many last seconds
+where TIME is negative; table `packets` of a kismetdb
 has ts_sec, ts_usec, sourcemac, frequency in kHz and signal in dBm.
 """
 
+import http.client
 import json
 import sqlite3
 import time
 import urllib.error
 import urllib.request
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from fieldkit.errors import DeviceError
 
 POLL_S = 0.5
 TIMEOUT_S = 3.0
+LOOK_BACK_S = 10
+"""Devices of so many last seconds are asked for, by Kismet's own clock: it may be years off ours."""
 LAST_SIGNAL = "kismet.device.base.signal/kismet.common.signal.last_signal"
 FIELDS = [
     ["kismet.device.base.macaddr", "mac"],
@@ -52,7 +57,6 @@ class KismetLink(_Polled):
         key = parse_qs(parts.query).get("key", [""])[0]
         self._base = f"{scheme}://{parts.netloc}"
         self._headers = {"Content-Type": "application/json"} | ({"Cookie": f"KISMET={key}"} if key else {})
-        self._since = int(time.time())
         self._packets: dict[str, int] = {}
         try:
             self._ask()
@@ -68,25 +72,30 @@ class KismetLink(_Polled):
         return b"".join(self._ask())
 
     def _ask(self) -> list[bytes]:
-        request = urllib.request.Request(
-            f"{self._base}/devices/last-time/{self._since - 2}/devices.json",
-            json.dumps({"fields": FIELDS}).encode(),
-            self._headers,
-        )
-        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
-            try:
-                devices = json.loads(answer.read())
-            except ValueError as error:
-                raise OSError(f"{self._base} answers with something that is not JSON") from error
         lines = []
-        for each in devices if isinstance(devices, list) else ():
+        for each in self._devices():
             mac, packets = str(each.get("mac", "")), int(each.get("packets") or 0)
-            self._since = max(self._since, int(each.get("time") or 0))
             # The list has whoever was seen lately; only one with new packets was heard since we asked.
-            if packets > self._packets.get(mac, 0) and each.get("signal"):
+            if packets != self._packets.get(mac, 0) and each.get("signal"):
                 lines.append(_line(each["signal"], mac, each.get("channel"), each.get("time")))
             self._packets[mac] = packets
         return lines
+
+    def _devices(self) -> list[dict[str, Any]]:
+        """Raises `OSError` for whatever is no list of devices: nothing is known of who was heard."""
+        request = urllib.request.Request(
+            f"{self._base}/devices/last-time/-{LOOK_BACK_S}/devices.json",
+            json.dumps({"fields": FIELDS}).encode(),
+            self._headers,
+        )
+        try:
+            with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
+                devices = json.loads(answer.read())
+        except (http.client.HTTPException, RecursionError, ValueError) as error:
+            raise OSError(f"{self._base} answers with something that is not JSON: is it Kismet?") from error
+        if not isinstance(devices, list) or not all(_is_device(each) for each in devices):
+            raise OSError(f"{self._base} answers with something that is no list of devices: is it Kismet?")
+        return devices
 
     def close(self) -> None:
         """Nothing is kept open."""
@@ -130,6 +139,10 @@ class KismetDbLink(_Polled):
     def close(self) -> None:
         """Twice is harmless."""
         self._database.close()
+
+
+def _is_device(each: object) -> bool:
+    return isinstance(each, dict) and isinstance(each.get("packets") or 0, int)
 
 
 def _line(signal: object, mac: object, channel: object, at_s: object) -> bytes:

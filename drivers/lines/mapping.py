@@ -13,9 +13,9 @@ from fieldkit.errors import ConfigError
 FORMATS = ("json", "regex", "csv")
 UNITS = ("dBm", "-dBm", "relative dB")
 TIME_UNITS = ("s", "ms", "us", "iso")
-STRONGEST_DBM = 20.0
-"""No receiver reads more: a larger number has another sign or another unit."""
-WEAKEST_DBM = -200.0
+STRONGEST_DBM = 0.0
+"""No receiver reads more: a larger number has another sign or another unit. A mission leaves out what is outside."""
+WEAKEST_DBM = -150.0
 NUMBER = re.compile(r"[+-]?\d+(?:[.,]\d+)?")
 FALSE_WORDS = frozenset(("", "0", "false", "no", "none", "null"))
 
@@ -55,6 +55,8 @@ class LineMap:
     columns: tuple[str, ...] = ()
     """`csv`: names in order; one that ends in `*` takes all that follow, and counts with the largest."""
     unit: str = "dBm"
+    offset_db: float = 0.0
+    """Added to each strength: it brings a relative scale below 0."""
     source: str = ""
     channel: str = ""
     time: str = ""
@@ -138,15 +140,18 @@ class LineMap:
         numbers = [number for number in map(_number, values) if number is not None]
         if not numbers:
             raise NoReadingError(f"has no number at '{self.rss}'")
-        rss = max(numbers)
-        if self.unit == "relative dB":
-            return rss
-        if self.unit == "-dBm":
-            rss = -rss
+        sign = -1.0 if self.unit == "-dBm" else 1.0
+        rss = max(sign * number for number in numbers) + self.offset_db
         if not WEAKEST_DBM <= rss <= STRONGEST_DBM:
-            remedy = 'is the unit "-dBm" or "relative dB"?' if self.unit == "dBm" else 'is the unit "dBm"?'
-            raise NoReadingError(f"reads {rss:g} dBm, which no radio receives: {remedy}")
+            raise NoReadingError(f"reads {rss:g} {self._remedy(rss)}")
         return rss
+
+    def _remedy(self, rss: float) -> str:
+        if self.unit == "relative dB":
+            shift = -100 if rss > STRONGEST_DBM else 100
+            return f"dB, and {WEAKEST_DBM:g} to 0 can be used: shift the scale, as with offset_db = {shift}"
+        other = '"-dBm" or "relative dB"' if self.unit == "dBm" else '"dBm"'
+        return f"dBm, which no radio receives: is the unit {other}?"
 
     def _time_s(self, value: Any) -> float | None:
         """None also for whole seconds: such a stamp says less than the line's arrival."""

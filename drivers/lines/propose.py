@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.lines.mapping import LineMap, NoReadingError
+from drivers.lines.mapping import STRONGEST_DBM, LineMap, NoReadingError
 from drivers.lines.maps import MAPS
 
 STRENGTH = re.compile(r"r(x_?)?ssi|rss|dbm|signal|power|level", re.IGNORECASE)
@@ -93,4 +93,4 @@ def _is_number(value: Any) -> bool:
 
 
 def _unit(value: Any) -> str:
-    return "-dBm" if float(value) > 20.0 else "dBm"
+    return "-dBm" if float(value) > STRONGEST_DBM else "dBm"

@@ -13,7 +13,7 @@ from typing import Any
 from drivers.lines.mapping import Heard, LineMap, NoReadingError
 from drivers.lines.maps import MAPS
 from drivers.lines.sources import open_source
-from drivers.links import ByteLink, arrival_ns
+from drivers.links import ByteLink, absent, arrival_ns
 from drivers.options import checked
 from drivers.threaded import ThreadedReceiver
 from drivers.timebase import DeviceStamps
@@ -23,6 +23,8 @@ from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import DriverContext
 
 LONGEST_LINE = 65_536
+RETURNS = 3
+"""So many carriage returns and no new line: the device ends its lines with the former."""
 SENSELESS = 5
 """So many lines in a row that are no readings, and the receiver counts as down until one is."""
 MOST_S = 1e12
@@ -43,6 +45,7 @@ class LinesOptions:
     columns: list[Any] | None = None
     rss: str | None = None
     unit: str | None = None
+    offset_db: float | None = None
     source: str | None = None
     channel: str | None = None
     time: str | None = None
@@ -94,12 +97,27 @@ class LineSplitter:
     """Bytes in, lines out; a line that is too long is dropped whole."""
 
     dropped: int = 0
+    ended: int = 0
+    """Lines so far, also empty ones and those that were dropped."""
+    _returns: bool = False
+    """A carriage return ends a line too: the device was seen to print nothing else."""
     _rest: bytes = b""
     _dropping: bool = field(default=False)
 
+    @property
+    def is_dropping(self) -> bool:
+        """In the middle of a line that is too long."""
+        return self._dropping
+
     def feed(self, data: bytes) -> list[str]:
         """Whole lines, without their ends; what is no UTF-8 is kept as replacement characters."""
+        if self._returns:
+            data = data.replace(b"\r", b"\n")
         *whole, rest = (self._rest + data).split(b"\n")
+        if not self.ended and not whole and rest.count(b"\r") >= RETURNS:
+            self._returns = True
+            *whole, rest = rest.replace(b"\r", b"\n").split(b"\n")
+        self.ended += len(whole)
         if whole and self._dropping:
             del whole[0]
             self._dropping = False
@@ -128,7 +146,7 @@ class LinesReceiver(ThreadedReceiver):
         source = open_source(options.port, options.baud, self._name, from_start=start, tap=self._tap)
         self._link = self._watch(source)
         self._split, self._stamps = LineSplitter(), DeviceStamps()
-        self._senseless, self._down = 0, False
+        self._senseless, self._down, self._alone = 0, False, False
         self._read_by(self._read, self._link)
         return f"lines from {options.port} as {options.map or self._map.format}"
 
@@ -153,23 +171,34 @@ class LinesReceiver(ThreadedReceiver):
             ) as error:  # pyserial's, when closed under a read
                 self._on_lost(f"the port went away ({error})")
                 return
-            if data:
+            ended, lines = self._split.ended, self._split.feed(data) if data else []
+            if lines:
                 t_ns = arrival_ns(link, self._clock)
-                for line in self._split.feed(data):
+                for line in lines:
                     self._take(line, t_ns)
-            self._mind_the_heartbeat(bool(data))
+            self._mind_the_silence(self._split.ended > ended, absent(link))
 
-    def _mind_the_heartbeat(self, came: bool) -> None:
+    def _mind_the_silence(self, came: bool, nobody: str) -> None:
+        """Whether what is not heard means anything. An end of line is a sign of life; other bytes are none."""
         now_s, limit_s = self._clock.elapsed_s(), self._options.heartbeat_s
         if came:
             self._line_s = now_s
             if self._down and self._senseless == 0:
                 self._set_down(False, "lines come again")
+        elif nobody:
+            if not self._down:
+                self._set_down(True, nobody)
+                self._alone = True
+        elif self._alone:
+            self._set_down(False, "somebody is there again")
+        elif self._split.is_dropping:
+            if not self._down:
+                self._set_down(True, f"it has printed {LONGEST_LINE} bytes without an end of line")
         elif limit_s is not None and not self._down and now_s - self._line_s > limit_s:
             self._set_down(True, f"no line for {now_s - self._line_s:.0f} s")
 
     def _set_down(self, down: bool, reason: str) -> None:
-        self._down = down
+        self._down, self._alone = down, False
         with self._gate:
             if self._listening:
                 self._put(ReceiverState(self._clock.now_ns(), self.robot, not down, reason), always=True)

@@ -18,8 +18,12 @@ from drivers.links import READ_TIMEOUT_S, ByteLink, TappedLink, host_and_port, o
 from fieldkit.errors import DeviceError
 
 POLL_S = 0.05
+ENDED_S = 0.01
+"""Between two looks at a pipe that nobody writes into."""
 LARGEST_DATAGRAM = 65_536
 MOST_CLIENTS = 16
+ALONE_S = 5.0
+"""Wall time without anybody at the far end after which that is said: a program may open and close for each line."""
 
 PORTS = (
     "a serial device, socket://HOST:PORT, tcp://HOST:PORT (waits for connections), udp://HOST:PORT, "
@@ -69,8 +73,21 @@ def _open(port: str, baud: int, device: str, from_start: bool) -> ByteLink:
 class _Listening:
     """What sources that only listen have in common."""
 
+    nobody = ""
+    """What is to be said when there is nobody at the far end."""
+
     def __init__(self) -> None:
-        self.arrived_s = time.monotonic()
+        self.arrived_s = self._joined_s = time.monotonic()
+
+    def _see(self, somebody: bool) -> None:
+        """Whether there is somebody at the far end now."""
+        if somebody:
+            self._joined_s = time.monotonic()
+
+    @property
+    def absent(self) -> str:
+        """Why nothing can be heard though the port is open; empty where somebody may print."""
+        return self.nobody if self.nobody and time.monotonic() - self._joined_s > ALONE_S else ""
 
     def write(self, data: bytes) -> None:
         """Nothing is ever sent."""
@@ -113,6 +130,8 @@ class UdpLink(_Listening):
 class TcpServerLink(_Listening):
     """A port that radios connect to. Lines of several are not mixed within a line."""
 
+    nobody = "no radio is connected to the port"
+
     def __init__(self, host: str, port: int) -> None:
         super().__init__()
         self._server = socket.create_server(
@@ -133,6 +152,7 @@ class TcpServerLink(_Listening):
                 lines += self._take(key.fileobj)
         if lines:
             self.arrived_s = time.monotonic()
+        self._see(bool(self._rest))
         return lines
 
     def _accept(self) -> None:
@@ -192,20 +212,29 @@ class StdinLink(_Listening):
 class PipeLink(_Listening):
     """A named pipe; whoever writes may come and go."""
 
+    nobody = "no program writes into the pipe"
+
     def __init__(self, path: Path) -> None:
         super().__init__()
         self._path = path
-        # Opened for writing too, the pipe does not end with its first writer.
-        self._descriptor = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+        self._descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
 
     def read(self) -> bytes:
         """Raises `OSError` when the pipe is removed."""
-        if not select.select([self._descriptor], [], [], READ_TIMEOUT_S)[0]:
-            if not self._path.exists():
-                raise FileNotFoundError(f"{self._path} was removed")
+        if not self._path.exists():
+            raise FileNotFoundError(f"{self._path} was removed")
+        select.select([self._descriptor], [], [], READ_TIMEOUT_S)
+        try:
+            data = os.read(self._descriptor, LARGEST_DATAGRAM)
+        except BlockingIOError:  # somebody has it open, and writes nothing now
+            self._see(True)
             return b""
+        if not data:  # nobody has: the pipe is at its end, and goes on with the next writer
+            time.sleep(ENDED_S)
+            return b""
+        self._see(True)
         self.arrived_s = time.monotonic()
-        return os.read(self._descriptor, LARGEST_DATAGRAM)
+        return data
 
     def close(self) -> None:
         """Twice is harmless."""
@@ -215,29 +244,48 @@ class PipeLink(_Listening):
 
 
 class FileLink(_Listening):
-    """A file that grows; one that was cut or replaced is read anew from its beginning."""
+    """A file that grows; one that was cut or replaced is read anew from its beginning.
+
+    Whole lines only: half a line of the old file and the beginning of the new one are not a line.
+    """
 
     def __init__(self, path: Path, from_start: bool) -> None:
         super().__init__()
         self._path = path
-        self._file = path.open("rb")
+        self._open()
+        if not from_start and self._file.seek(0, os.SEEK_END):
+            self._file.seek(-1, os.SEEK_END)
+            self._in_a_line = self._file.read(1) != b"\n"
+
+    def _open(self) -> None:
+        self._file = self._path.open("rb")
         self._inode = os.fstat(self._file.fileno()).st_ino
-        if not from_start:
-            self._file.seek(0, os.SEEK_END)
+        self._rest = b""
+        self._in_a_line = False
+        """What comes next is the end of a line whose beginning was not read."""
 
     def read(self) -> bytes:
         """Raises `OSError` when the file is removed."""
         data = self._file.read(LARGEST_DATAGRAM)
         if data:
             self.arrived_s = time.monotonic()
-            return data
+            return self._whole(data)
         now = self._path.stat()
         if now.st_ino != self._inode or now.st_size < self._file.tell():
             self._file.close()
-            self._file = self._path.open("rb")
-            self._inode = os.fstat(self._file.fileno()).st_ino
+            self._open()
         time.sleep(POLL_S)
         return b""
+
+    def _whole(self, data: bytes) -> bytes:
+        whole, newline, rest = (self._rest + data).rpartition(b"\n")
+        self._rest = rest
+        if len(rest) > LARGEST_DATAGRAM:  # whoever splits it drops it as too long
+            whole, newline, self._rest = whole + newline + rest, b"", b""
+        if newline and self._in_a_line:
+            self._in_a_line = False
+            whole = whole.partition(b"\n")[2]
+        return whole + newline
 
     def close(self) -> None:
         """Twice is harmless."""

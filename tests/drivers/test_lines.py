@@ -3,10 +3,12 @@
 import asyncio
 import json
 import os
+import socket
 import sqlite3
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +25,10 @@ from drivers.lines.maps import MAPS
 from drivers.lines.propose import propose
 from drivers.lines.receiver import LONGEST_LINE, SENSELESS, LineSplitter, open_receiver
 from fieldkit.clock import RealClock
+from fieldkit.engine.association.detections import Associator
 from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.geo import FieldFrame
-from fieldkit.messages import ReceiverState, RssReading
+from fieldkit.messages import Pose, ReceiverState, RssReading
 from fieldkit.ports import DriverContext
 
 DOCUMENTED = {
@@ -120,6 +123,8 @@ def test_what_an_emulated_radio_prints_is_read_by_the_map_of_its_name(name: str)
         (LineMap("json"), '{"rss": NaN}', "no number"),
         (LineMap("json"), '{"rss": 71}', 'reads 71 dBm, which no radio receives: is the unit "-dBm"'),
         (LineMap("json", unit="-dBm"), '{"rss": -71}', 'is the unit "dBm"?'),
+        (LineMap("json", unit="relative dB"), '{"rss": 71.5}', "shift the scale, as with offset_db = -100"),
+        (LineMap("json", unit="relative dB"), '{"rss": -1e300}', "shift the scale, as with offset_db = 100"),
         (LineMap("regex", pattern="rssi (?P<rss>.*)"), "hello", "does not match"),
         (LineMap("regex", pattern="rssi (?P<rss>.*)"), "rssi loud", "no number"),
     ],
@@ -132,7 +137,9 @@ def test_a_line_that_is_no_reading_says_why(line_map: LineMap, line: str, says: 
 
 def test_units_signs_and_commas_are_stated_once() -> None:
     assert LineMap("json", unit="-dBm").read('{"rss": 71}') == Heard(-71.0)
-    assert LineMap("json", unit="relative dB").read('{"rss": 71.5}') == Heard(71.5)
+    assert LineMap("json", unit="relative dB", offset_db=-100.0).read('{"rss": 71.5}') == Heard(-28.5)
+    several = LineMap("csv", columns=("t", "rss*"), unit="-dBm")
+    assert several.read("1, 80, 60, 90") == Heard(-60.0), "the strongest, whatever its sign"
     assert LineMap("regex", pattern="(?P<rss>-[0-9,]+)").read("at -70,5 dBm") == Heard(-70.5)
     assert LineMap("json", heard="ok").read('{"ok": false}') is None
     assert LineMap("json", time="t", time_unit="ms").read('{"rss": -70, "t": 1500}') == Heard(
@@ -195,6 +202,28 @@ def test_a_line_without_end_is_dropped_and_takes_no_memory() -> None:
     assert split.dropped == 1
 
 
+def test_a_device_may_end_its_lines_with_carriage_returns_alone() -> None:
+    split, out = LineSplitter(), list[str]()
+    for data in (b"RSSI -70\rRSSI -7", b"1\rRSSI -72", b"\rRSSI -73\rRSSI -74"):
+        out += split.feed(data)
+    assert out == [f"RSSI -{number}" for number in (70, 71, 72, 73)]
+    usual = LineSplitter()
+    assert usual.feed(b"a\n") + usual.feed(b"1\r2\r3\r4\n") == ["a", "1\r2\r3\r4"]
+
+
+def test_what_a_map_reads_a_mission_takes() -> None:
+    """A reading that is left out later would pass for silence."""
+    for rss in ("-151", "-150", "0", "1"):
+        try:
+            heard = MAPS["json"].read(f'{{"rss_dbm": {rss}}}')
+        except NoReadingError:
+            heard = None
+        associator = Associator(("ada",))
+        associator.pose(Pose(0, "ada", 1.0, 1.0))
+        associator.reading(RssReading(0, "ada", float(rss)))
+        assert (heard is not None) == bool(associator._open), rss
+
+
 # -- sources ---------------------------------------------------------------------------------------------------
 
 GOOD = b'{"rss_dbm": -71, "source_id": "a"}\n'
@@ -243,6 +272,25 @@ async def test_a_file_that_grows_is_followed_also_when_it_is_replaced(tmp_path: 
         await seen.until(lambda s: len(s.readings) == 2)
 
 
+async def test_half_a_line_and_half_another_are_no_reading(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.write_bytes(b"RSSI -9")  # of -90: we come in the middle of a line
+    async with receiving(port=str(log), format="regex", pattern=r"(?P<rss>-?\d+)") as seen:
+        with log.open("ab") as file:
+            file.write(b"0\nRSSI -80\nRSSI -7")  # of -71: the file is replaced in the middle of a line
+        await seen.until(lambda s: len(s.readings) == 1)
+        await asyncio.sleep(0.2)
+        new = tmp_path / "new"
+        new.write_bytes(b"RSSI -82\n")
+        new.replace(log)
+        await seen.until(lambda s: len(s.readings) == 2)
+        log.write_bytes(b"")  # cut
+        await asyncio.sleep(0.2)
+        log.write_bytes(b"RSSI -83\n")
+        await seen.until(lambda s: len(s.readings) == 3)
+    assert [reading.rss_dbm for reading in seen.readings] == [-80.0, -82.0, -83.0]
+
+
 async def test_a_named_pipe_outlives_its_writers(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -252,6 +300,31 @@ async def test_a_named_pipe_outlives_its_writers(tmp_path: Path) -> None:
             os.write(descriptor, GOOD)
             os.close(descriptor)
             await seen.until(lambda s, count=count: len(s.readings) == count)  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("kind", ["pipe", "tcp"])
+async def test_nobody_at_the_far_end_is_no_silence(
+    kind: str, unused_tcp_port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.lines.sources.ALONE_S", 0.3)
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    port = str(pipe) if kind == "pipe" else f"tcp://127.0.0.1:{unused_tcp_port}"
+
+    def join() -> Callable[[], None]:
+        if kind == "pipe":
+            return partial(os.close, os.open(pipe, os.O_WRONLY | os.O_NONBLOCK))
+        return socket.create_connection(("127.0.0.1", unused_tcp_port)).close
+
+    async with receiving(port=port, map="json") as seen:
+        await seen.until(lambda s: not s.is_up)
+        leave = join()
+        await seen.until(lambda s: s.is_up)  # it has printed nothing, and would
+        await asyncio.sleep(0.5)
+        assert seen.is_up
+        leave()
+        await seen.until(lambda s: not s.is_up)
+    assert "connected" in seen.states[-1].reason or "writes into" in seen.states[-1].reason
 
 
 async def test_standard_input_ends_when_the_other_program_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -276,10 +349,17 @@ async def test_a_broker_is_listened_to_and_missed_when_it_goes(unused_tcp_port: 
     }
     broker = Broker(config)
     await broker.start()
+    send = partial(publish.single, "field/r1/rx", GOOD.rstrip(), hostname="127.0.0.1", port=unused_tcp_port)
+    kept = partial(
+        publish.single,
+        "field/r1/rx",
+        b'{"rss_dbm": -40}',
+        retain=True,
+        hostname="127.0.0.1",
+        port=unused_tcp_port,
+    )
+    await asyncio.get_running_loop().run_in_executor(None, kept)  # nobody knows how long ago
     async with receiving(port=f"mqtt://127.0.0.1:{unused_tcp_port}/field/+/rx", map="json") as seen:
-        send = partial(
-            publish.single, "field/r1/rx", GOOD.rstrip(), hostname="127.0.0.1", port=unused_tcp_port
-        )
         await asyncio.get_running_loop().run_in_executor(None, send)
         await seen.until(lambda s: len(s.readings) == 1)
         await broker.shutdown()
@@ -312,6 +392,48 @@ async def test_kismet_gives_a_line_for_each_device_heard_again() -> None:
                 pass
         assert kismet.refused == 1
     assert (seen.readings[0].frame_id, seen.readings[0].channel) == (mac, 6)
+
+
+@pytest.mark.parametrize("clock_off_s", [-300_000_000, 300_000_000])
+async def test_a_kismet_whose_clock_is_years_off_is_heard(clock_off_s: int) -> None:
+    with EmulatedKismet(clock_off_s=clock_off_s) as kismet:
+        async with receiving(port=kismet.port, map="kismet") as seen:
+            kismet.hear("AA", -61.0)
+            await seen.until(lambda s: len(s.readings) == 1)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"SSH-2.0-OpenSSH\r\n",
+        b"HTTP/1.0 200 OK\r\nContent-Length: 50\r\n\r\n[]",
+        b"HTTP/1.0 200 OK\r\n\r\n<html>",
+        b"HTTP/1.0 200 OK\r\n\r\n" + b"[" * 100_000,
+        b'HTTP/1.0 200 OK\r\n\r\n{"error": "no such view"}',
+        b"HTTP/1.0 200 OK\r\n\r\n[1, 2]",
+        b'HTTP/1.0 200 OK\r\n\r\n[{"mac": "a", "packets": [1]}]',
+    ],
+)
+async def test_what_is_no_kismet_is_said_so_and_never_taken_for_silence(answer: bytes) -> None:
+    answers, heard = [b"HTTP/1.0 200 OK\r\n\r\n[]"] * 2 + [answer] * 3, count(1)
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(65_536)
+        again = b'HTTP/1.0 200 OK\r\n\r\n[{"mac": "a", "packets": %d, "signal": -50}]' % next(heard)
+        answers.append(again)
+        writer.write(answers.pop(0))
+        writer.close()
+
+    async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
+        port = f"kismet://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+        async with receiving(port=port, map="kismet") as seen:
+            await seen.until(lambda s: not s.is_up)
+            assert "is it Kismet?" in seen.states[-1].reason
+            await seen.until(lambda s: s.is_up and len(s.readings) == 1)
+        answers[:] = [answer]
+        with pytest.raises(DeviceError, match="is it Kismet"):
+            async with receiving(port=port, map="kismet"):
+                pass
 
 
 async def test_a_kismet_database_gives_a_line_for_each_packet(tmp_path: Path) -> None:
@@ -349,6 +471,40 @@ async def test_silence_is_known_to_be_silence_only_while_lines_come(tmp_path: Pa
             file.write(b'{"rss_dbm": null}\n')
         await seen.until(lambda s: s.is_up)
         assert not seen.readings
+
+
+async def test_bytes_without_an_end_of_line_are_no_sign_of_life(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for more, data, says in (
+        ({"heartbeat_s": 0.3}, b"\x80x", "no line for"),
+        ({}, b"x" * 30_000, "end of line"),
+    ):
+        async with receiving(port=str(pipe), map="json", **more) as seen:
+            descriptor = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+            while seen.is_up:
+                os.write(descriptor, data)
+                await asyncio.sleep(0.02)
+            os.write(descriptor, b"\n" + GOOD)
+            await seen.until(lambda s: s.is_up and len(s.readings) == 1)
+            os.close(descriptor)
+        assert says in seen.states[-2].reason
+
+
+async def test_a_reader_that_fails_is_no_silence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = tmp_path / "log"
+    log.touch()
+    async with receiving(port=str(log), map="json") as seen:
+        with monkeypatch.context() as broken:
+            broken.setattr(LineMap, "read", lambda self, line: 1 / 0)
+            with log.open("ab") as file:
+                file.write(GOOD)
+            await seen.until(lambda s: not s.is_up)
+        assert "its reader failed (ZeroDivisionError" in seen.states[-1].reason
+        await seen.until(lambda s: s.is_up)
+        with log.open("ab") as file:
+            file.write(GOOD)
+        await seen.until(lambda s: len(s.readings) == 1)
 
 
 async def test_lines_that_make_no_sense_count_as_deafness_and_are_shown(tmp_path: Path) -> None:
