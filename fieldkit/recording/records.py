@@ -217,7 +217,9 @@ def _describe(error: Exception, position: int, following: int | None, size: int)
     if following is not None:
         return f"damaged near byte {position}: {error or 'a record of impossible length'}"
     if isinstance(error, EOFError):
-        return f"cut: it ends without its index, and its last {size - position} bytes cannot be read"
+        lost = size - position
+        unread = f", and its last {lost} bytes cannot be read" if lost else ""
+        return f"cut, or still being written: it ends without its index{unread}"
     return f"damaged from byte {position} to the end ({size}): {error}"
 
 

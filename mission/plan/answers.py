@@ -24,6 +24,7 @@ from starlette.responses import JSONResponse, Response
 
 from fieldkit.errors import FieldkitError
 from mission.maps.background import BackgroundShown, Picture
+from mission.page.posted import posted
 from mission.page.protocol import Failed
 from mission.plan.desk import Desk
 from mission.plan.protocol import Draft
@@ -80,10 +81,7 @@ class PlanAnswers:
         return JSONResponse(draft)
 
     async def _change(self, request: Request) -> Response:
-        body = await request.body()
-        if len(body) > LARGEST_FORM:
-            return _refused("the form is too large", 413)
-        form = json.loads(body)
+        form = await posted(request, most_bytes=LARGEST_FORM)
         if not isinstance(form, dict):
             raise ValueError("expected a form")
         self._desk.change(form)
