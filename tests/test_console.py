@@ -86,6 +86,22 @@ def test_a_quiet_watch_still_says_alarms(capsys: pytest.CaptureFixture[str]) -> 
     assert "ALARM: r1 has not shown" in said and "found source" not in said
 
 
+def test_a_line_of_a_mission_says_why_a_robot_is_held_and_is_not_broken(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    engine = SimpleNamespace(teams=(("r1", "r2"),))
+    kernel = SimpleNamespace(sources=tuple, settings=SimpleNamespace(engine=engine))
+    doing = {"r1": "search", "r2": "held: its path comes within 0.55 m of r1, which is nearer than allowed"}
+    progress: Any = SimpleNamespace(
+        elapsed_s=12.0, alarms=(), notes=(), kernel=kernel, doing=doing, detections=3, probability_left=0.5
+    )
+    with Watch() as watch:
+        watch.show(progress)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(f"r1 search; r2 {doing['r2']}")
+
+
 def test_the_shell_is_told_how_to_complete() -> None:
     environment = os.environ | {
         "_FIELDKIT_COMPLETE": "complete_bash",

@@ -1,4 +1,4 @@
-"""What a browser posts, as plain values: not read further than is sensible, and nothing in it that could not be written."""
+"""What a browser posts, as plain values: no more than is sensible, and nothing in it that could not be written."""
 
 import json
 from typing import Any

@@ -28,6 +28,10 @@ class Remark:
     text: str
 
 
+NO_ROBOT = Remark("red", "robot", "expected a value, got nothing")
+ADD_ONE = Remark("red", "", "No robot yet: add one, with its radio and its vehicle.")
+
+
 def judge(text: str, path: Path) -> list[Remark]:
     """Remarks on a draft of the mission file at `path`, whose antenna and background lie beside it."""
     try:
@@ -35,7 +39,10 @@ def judge(text: str, path: Path) -> list[Remark]:
         setups.live(mission)  # drivers check their own options when they are made
         background = read_background(mission)
     except FieldkitError as error:
-        return [_remark("red", line, path) for line in str(error).splitlines() if line.strip()]
+        remarks = [_remark("red", line, path) for line in str(error).splitlines() if line.strip()]
+        if NO_ROBOT in remarks:  # whoever begins has no team either: one thing to do, not two
+            return [ADD_ONE, *(each for each in remarks if each.key not in ("robot", "team"))]
+        return remarks
     remarks = [_remark("amber", line, path) for line in advise(mission)]
     if background is not None and background.covered < SHOWN_SHARE:
         shown = f"shows {background.covered:.0%} of the field"

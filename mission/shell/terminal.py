@@ -61,9 +61,8 @@ class Watch:
         for alarm in progress.alarms:
             name = alarm.split(" for ")[0]  # a number that grows is no new alarm
             if name not in self._alarmed and not self._live.is_started:
-                self._trouble.print(
-                    f"{progress.elapsed_s:6.0f} s  ALARM: {alarm}", style="bold red", markup=False
-                )
+                line = f"{progress.elapsed_s:6.0f} s  ALARM: {alarm}"
+                self._trouble.print(line, style="bold red", markup=False, soft_wrap=True)
             self._alarmed.add(name)
         if self._console.quiet:
             return
@@ -72,13 +71,13 @@ class Watch:
             if self._live.is_started:
                 self._live.console.print(line, highlight=False, markup=False)
             else:
-                self._console.print(line, highlight=False, markup=False)
+                self._console.print(line, highlight=False, markup=False, soft_wrap=True)
         now_s = wall_s()
         if self._live.is_started:
             self._live.update(_panel(progress))
         elif now_s - self._last_s >= PLAIN_EVERY_S:
             self._last_s = now_s
-            self._console.print(_line(progress), highlight=False, markup=False)
+            self._console.print(_line(progress), highlight=False, markup=False, soft_wrap=True)
 
 
 def _found(progress: Progress) -> tuple[int, int]:
@@ -108,8 +107,9 @@ def _by_interest(sources: Sequence[SourceEstimate]) -> list[SourceEstimate]:
 
 
 def _line(progress: Progress) -> str:
+    """All on one line, however long: it goes to a file, where a line is a moment."""
     found, candidates = _found(progress)
-    doing = "; ".join(f"{team} {what.split(':')[0]}" for team, what in _teams(progress))
+    doing = "; ".join(f"{team} {what}" for team, what in _teams(progress))
     return (
         f"{progress.elapsed_s:6.0f} s  {progress.detections:3d} detections  {found} found  "
         f"{candidates} candidates  left {progress.probability_left:.2f}  {doing}"

@@ -9,6 +9,8 @@ import pytest
 from flying import Flown, looking, wait_until
 
 from fieldkit.messages import SourceEstimate
+from mission.lab.synthetic import small_mission
+from mission.page import serve
 
 LIVE = "() => document.getElementById('state').textContent === 'live'"
 COLOURS = """() => {
@@ -25,6 +27,7 @@ def tab(browser: Any, flown: Flown) -> Any:
     with looking(browser, flown.page.command_address) as tab:
         tab.wait_for_function(LIVE)
         tab.wait_for_selector("#robots .card")
+        assert not tab.locator("#robots .empty").count(), "what it waited for is there"
         yield tab
 
 
@@ -52,6 +55,16 @@ def test_hold_all_by_button_holds_every_robot_without_asking(tab: Any, flown: Fl
 def test_hold_all_by_key(tab: Any, flown: Flown, key: str) -> None:
     tab.keyboard.press(key)
     wait_until(lambda: flown.asked("hold") and modes(flown) == {"hold"})
+
+
+def test_before_the_start_the_page_says_what_it_waits_for(browser: Any, tmp_path: Path) -> None:
+    with serve.live(small_mission(tmp_path)) as shown, looking(browser, shown.page.command_address) as tab:
+        tab.wait_for_function("() => document.getElementById('state').textContent === 'not started'")
+        tab.wait_for_selector("#robots >> text=The mission starts when")
+        assert "r1, r2" in tab.locator("#robots .cards").inner_text()
+        tab.evaluate("() => { window.fieldkit.heardAt -= 60_000; }")  # it takes a while, and is not lost
+        tab.wait_for_timeout(1200)
+        assert tab.locator("#state").inner_text() == "not started" and not tab.locator("#stale").is_visible()
 
 
 def test_one_robot_is_held_returned_released_and_resumed(tab: Any, flown: Flown) -> None:

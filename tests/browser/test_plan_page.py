@@ -86,9 +86,10 @@ def test_a_newcomer_gets_from_nothing_to_a_mission_that_may_start(browser: Any, 
         tab.fill("#address", f"udpin:127.0.0.1:{port}")
         tab.click("#heard")
         tab.wait_for_selector("#around .thing >> text=system 2")
-        tab.locator("#around .thing", has_text="system 1").locator("button").click()
-        tab.locator("#around .thing", has_text="system 2").locator("button").click()
-        tab.locator("#around .thing", has_text="begin the field").locator("button").click()
+        tab.locator("#around .thing >> nth=0").locator("button").click()
+        tab.locator("#around .thing >> nth=1").locator("button").click()
+        assert tab.locator("#around button:disabled").all_inner_texts() == ["done", "done"]
+        tab.locator("#around .thing", has_text="begin the field where system").locator("button").click()
         for name in ("r1", "r2"):  # serial ports of emulated radios are no USB devices: they are typed
             fill(tab, f"robot {name}: receiver.port", field.receiver_ports[name])
             settled(tab, field.receiver_ports[name])
@@ -143,6 +144,32 @@ def test_a_fence_is_drawn_a_corner_moved_and_an_area_closed(tab: Any, folder: Pa
     tab.wait_for_selector("#notice >> text=three corners")
     tab.click("#clear")
     tab.wait_for_function("() => window.fieldkitPlan.state.form.field.fence === null")
+
+
+def test_whoever_begins_reads_one_thing_to_do_and_can_always_store(tab: Any) -> None:
+    assert tab.locator("#remarks").inner_text() == "No robot yet: add one, with its radio and its vehicle."
+    for width, height in ((800, 600), (390, 844)):
+        tab.set_viewport_size({"width": width, "height": height})
+        tab.evaluate("window.scrollTo(0, 1e6)")
+        box = tab.locator("#store").bounding_box()
+        assert box["y"] >= 0 and box["y"] + box["height"] <= height, "it stays in reach"
+
+
+def test_what_is_being_typed_into_a_row_outlives_a_late_answer(tab: Any) -> None:
+    tab.click("#add")
+    tab.wait_for_selector("#remarks >> text=robot r1: receiver")
+    held: list[Any] = []
+    tab.route("**/plan/change", lambda route: held.append(route))
+    fill(tab, "top.name", "mine")
+    port = tab.locator('[data-key="robot r1: receiver.port"]')
+    port.press_sequentially("/dev/tty")
+    tab.wait_for_timeout(100)
+    held.pop().continue_()
+    tab.unroute("**/plan/change")
+    settled(tab, 'name = "mine"')
+    port.press_sequentially("USB0")
+    port.press("Tab")
+    settled(tab, 'port = "/dev/ttyUSB0"')
 
 
 def test_what_is_wrong_leads_to_its_box(tab: Any) -> None:

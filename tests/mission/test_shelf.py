@@ -46,8 +46,7 @@ def said(address: str, body: bytes | None = None, token: str = "") -> tuple[int,
 def test_files_that_vanish_and_names_that_are_no_letters_leave_the_list(page: Page, tmp_path: Path) -> None:
     (tmp_path / "gone.mcap").symlink_to(tmp_path / "nowhere")
     (tmp_path / "folder.mcap").mkdir()
-    with open(os.fsencode(tmp_path) + b"/\xff.mcap", "wb") as file:
-        file.write(b"x")
+    Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.mcap")).write_bytes(b"x")
     status, text = said(f"{page.address}runs/list")
     runs = {run["name"]: run.get("error", "") for run in json.loads(text)["runs"]}
     assert status == 200 and set(runs) == {"mission.mcap", "?.mcap"} and "rename it" in runs["?.mcap"]

@@ -9,7 +9,7 @@ import { setUpTools } from "./tools.js";
 import { setUpTimeline, timeline } from "./timeline.js";
 import { listen, setUpSound } from "./sound.js";
 import { chart } from "./chart.js";
-import { clock, fill } from "./panels.js";
+import { clock, fill, waiting } from "./panels.js";
 import { walk } from "./walk.js";
 import { setUpWhere } from "./where.js";
 import { notice, setUp, showRights } from "./commands.js";
@@ -31,6 +31,7 @@ function onMessage(message) {
     document.title = `${message.mission} · fieldkit`;
     if (!message.live) { slider.max = String(Math.ceil(message.duration_s)); ask({ kind: "seek", t_s: message.duration_s }); }
     showRights();
+    if (message.live && !model.frame) waiting(message);
     const files = message.files.map(([word, address]) => element("a", { href: address, download: address, textContent: word }));
     $("files").replaceChildren("Save: ", ...files);
     $("files").hidden = !files.length;
@@ -48,12 +49,14 @@ function onMessage(message) {
 function showState() {
   const chip = $("state");
   const live = model.hello?.live;
-  const silent = model.connected && live && performance.now() - model.heardAt > SILENT_MS;
+  const starting = live && !model.frame; // nothing comes before every robot is heard and seen
+  const silent = model.connected && live && !starting && performance.now() - model.heardAt > SILENT_MS;
   const ended = model.frame?.end;
-  const words = ended && live ? (innerWidth < 700 ? "ended" : `ended: ${ended}`) : !model.connected ? "not connected" : silent ? "mission silent"
-    : live ? (model.mayCommand ? "live" : "live, only looking") : "recording";
+  const words = ended && live ? (innerWidth < 1000 ? "ended" : `ended: ${ended}`) : !model.connected ? "not connected" : silent ? "mission silent"
+    : starting ? "not started" : live ? (model.mayCommand ? "live" : "live, only looking") : "recording";
   if (chip.textContent !== words) chip.textContent = words;
-  chip.className = `chip ${!(ended && live) && (!model.connected || silent) ? "lost" : live && !ended ? "live" : ""}`;
+  chip.title = live && ended ? ended : "";
+  chip.className = `chip ${!(ended && live) && (!model.connected || silent) ? "lost" : live && !ended && !starting ? "live" : ""}`;
 }
 
 // What is old looks like the present: it is covered by how old it is.

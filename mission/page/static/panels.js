@@ -8,7 +8,7 @@ import { follow, lookAt } from "./mapview.js";
 import { showWhere } from "./where.js";
 import { STATES, sureness } from "./words.js";
 
-/** @import { Frame, Heard, Note, Robot, Source, Steer } from "./protocol" */
+/** @import { Frame, Heard, LiveHello, Note, Robot, Source, Steer } from "./protocol" */
 /** @typedef {ReturnType<typeof makeCard>} Card */
 /** @typedef {ReturnType<typeof makeSource>} SourceRow */
 
@@ -128,9 +128,18 @@ function alarms({ alarms: said }) {
   box.replaceChildren(...said.map((text) => element("li", { textContent: text })));
 }
 
+/** @param {LiveHello} hello of a mission that has not started */
+export function waiting(hello) {
+  const names = hello.robots.map((robot) => robot.name).join(", ");
+  const text = `The mission starts when the radio and the vehicle of each robot are there: ${names}.`;
+  find($("robots"), ".cards").replaceChildren(element("p", { className: "empty", textContent: text }));
+  made.robots.clear();
+}
+
 /** @param {Frame} frame */
 function robots(frame) {
   const box = find($("robots"), ".cards");
+  box.querySelector(".empty")?.remove();
   for (const robot of frame.robots) {
     let part = made.robots.get(robot.name);
     if (!part) { part = makeCard(robot.name); made.robots.set(robot.name, part); box.append(part.card); }

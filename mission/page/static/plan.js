@@ -21,6 +21,7 @@ let now; // the state as the server has it; nothing can be pressed before it is 
 /** @type {State["form"]} */
 let form;
 let changes = 0;
+let typing = false; // into a robot's row, which must not be made anew under the fingers
 
 /** @param {string} text */
 function notice(text) { $("notice").textContent = text; $("notice").className = "bad"; $("notice").hidden = !text; }
@@ -75,7 +76,7 @@ function fill() {
     } else if (document.activeElement !== input) input.value = value;
   }
   $("no-antenna").hidden = now.choices.antennas.length > 0;
-  fillRobots($("robots"), form.robots, robotsChanged);
+  if (!typing) fillRobots($("robots"), form.robots, robotsChanged);
   showShape({ east_m: form.field.size_east_m, north_m: form.field.size_north_m, fence: form.field.fence, keep_out: form.field.keep_out ?? [] });
   fillGround();
   $("path").textContent = now.path.split(/[\\/]/).at(-1) ?? "";
@@ -123,7 +124,7 @@ async function change() {
   changes += 1;
   const mine = changes;
   const state = await ask("change", { body: form });
-  if (state && mine === changes) { now = { ...now, ...state }; form = now.form; fill(); }
+  if (state && mine === changes) { now = { ...now, ...state }; if (!typing) form = now.form; fill(); }
 }
 
 function robotsChanged() {
@@ -132,6 +133,8 @@ function robotsChanged() {
 }
 
 function setUpForm() {
+  document.addEventListener("input", (event) => { typing = event.target instanceof HTMLElement && Boolean(event.target.closest(".robot")); });
+  for (const end of ["change", "focusout"]) document.addEventListener(end, () => { typing = false; });
   document.addEventListener("change", (event) => {
     const input = event.target;
     if (!(input instanceof HTMLInputElement || input instanceof HTMLSelectElement)) return;
@@ -193,10 +196,10 @@ async function busy(id, what, given = {}) {
   return plain;
 }
 
-/** @param {string} name @param {string} words @param {string} act @param {() => void} onAct */
-function thing(name, words, act, onAct) {
-  const button = element("button", { className: "act", textContent: act });
-  button.addEventListener("click", onAct);
+/** @param {string} name @param {string} words @param {string} act @param {() => void} onAct @param {boolean} [isDone] already */
+function thing(name, words, act, onAct, isDone = false) {
+  const button = element("button", { className: "act", textContent: isDone ? "done" : act, disabled: isDone });
+  button.addEventListener("click", () => { button.textContent = "done"; button.disabled = true; onAct(); });
   return element("div", { className: "thing" }, element("b", { textContent: name }), element("span", { textContent: words }), button);
 }
 
@@ -220,10 +223,10 @@ async function showHeard() {
   const rows = found.map((each) => thing(`system ${each.system_id}`, `${each.firmware}, ${each.mode}${each.place_deg ? "" : ", no position yet"}`, "Add", () => {
     form.robots.push(newRobot(form.robots, { address, system_id: each.system_id }));
     robotsChanged();
-  }));
-  const place_deg = found.find((each) => each.place_deg)?.place_deg;
-  if (place_deg) rows.push(thing("field", "begin the field where it stands", "Set", () => {
-    [form.field.origin_lat_deg, form.field.origin_lon_deg] = place_deg;
+  }, form.robots.some(({ vehicle }) => vehicle.address === address && vehicle.system_id === each.system_id)));
+  const first = found.find((each) => each.place_deg);
+  if (first?.place_deg) rows.push(thing("field", `begin the field where system ${first.system_id} stands`, "Set", () => {
+    [form.field.origin_lat_deg, form.field.origin_lon_deg] = /** @type {[number, number]} */ (first.place_deg);
     change();
   }));
   $("around").replaceChildren(...(rows.length ? rows : [`No vehicle is heard on ${address}.`]));
