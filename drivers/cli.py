@@ -301,7 +301,11 @@ def _watch(port: str, baud: int, seconds: float, as_json: bool) -> None:
             f"none of {len(lines)} lines is a reading under any map ({', '.join(MAPS)}), and none names an"
         )
         typer.echo(
-            "rssi, rss, signal, power or level: write 'format' and 'pattern' of your own, see docs/lines.md"
+            "rssi, rss, signal, power or level: write a map of your own into a file, as docs/lines.md shows,"
+        )
+        typer.echo(
+            "and walk with --receiver radio.toml; of 'S=79' for -79 dBm: format = \"regex\", "
+            "pattern = 'S=(?P<rss>\\d+)', unit = \"-dBm\""
         )
     else:
         about = found.map.about or "made from the lines themselves"

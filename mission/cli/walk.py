@@ -33,7 +33,9 @@ def walk(
     receiver: Annotated[
         str,
         typer.Option(
-            metavar="PORT[,MAP]", help="The radio: xbee:PORT, or where its lines come from, and their map."
+            metavar="PORT[,MAP]",
+            help="The radio: xbee:PORT, or where its lines come from, and their map; a .toml file with the keys of "
+            "a map of your own.",
         ),
     ] = "",
     gnss: Annotated[
@@ -154,12 +156,13 @@ def _written(
         raise ConfigError(
             f"--antenna {path}: cannot be read: {error}; 'fieldkit calibrate' writes one"
         ) from error
+    receiver = _receiver(given["--receiver"])
     say(f"waiting for a position from {given['--gnss']} ...")
     lat_deg, lon_deg = asyncio.run(first_fix(given["--gnss"], FIRST_FIX_S))
     south_west = FieldFrame(lat_deg, lon_deg).to_geodetic(-size_m / 2, -size_m / 2)
     text = walk_text(
         WalkOptions(
-            _receiver(given["--receiver"]),
+            receiver,
             given["--gnss"],
             "antenna.toml",
             (south_west[0], south_west[1]),
@@ -176,8 +179,25 @@ def _written(
 
 
 def _receiver(words: str) -> dict[str, Any]:
-    """A receiver's table from `xbee:PORT`, or `PORT[,MAP]` of a radio that prints."""
+    """A receiver's table from `xbee:PORT`, `PORT[,MAP]` of a radio that prints, or a file. Raises `ConfigError`."""
     if words.startswith("xbee:"):
         return {"driver": "xbee", "port": words.removeprefix("xbee:")}
+    if words.endswith(".toml"):
+        return _receiver_of(Path(words))
     port, _, line_map = words.partition(",")
     return {"driver": "lines", "port": port, "map": line_map or "json"}
+
+
+def _receiver_of(path: Path) -> dict[str, Any]:
+    """What a file says of a receiver, by the keys of a mission file's `receiver`. Raises `ConfigError`."""
+    import tomllib
+
+    from fieldkit.errors import ConfigError
+
+    try:
+        said = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError(f"--receiver {path}: cannot be read: {error}") from error
+    if "port" not in said:
+        raise ConfigError(f"--receiver {path}: expected at least 'port' and a map, see docs/lines.md")
+    return {"driver": "lines", **said}

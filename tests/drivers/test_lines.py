@@ -5,6 +5,7 @@ import json
 import os
 import socket
 import sqlite3
+import tomllib
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -23,7 +24,7 @@ from drivers.emulators.wires import PluggedModule, PtyWire
 from drivers.lines.mapping import Heard, LineMap, NoReadingError
 from drivers.lines.maps import MAPS
 from drivers.lines.propose import propose
-from drivers.lines.receiver import LONGEST_LINE, SENSELESS, LineSplitter, open_receiver
+from drivers.lines.receiver import LONGEST_LINE, SENSELESS, LinesOptions, LineSplitter, map_of, open_receiver
 from fieldkit.clock import RealClock
 from fieldkit.engine.association.detections import Associator
 from fieldkit.errors import ConfigError, DeviceError
@@ -168,6 +169,15 @@ def test_a_map_that_makes_no_sense_is_refused_before_anything_is_opened(
     with pytest.raises(ConfigError) as refused:
         open_receiver("ada", {"port": "/dev/null", **options}, context())
     assert says in str(refused.value)
+
+
+def test_the_map_of_ones_own_that_the_docs_show_reads_what_they_say() -> None:
+    text = Path("docs/lines.md").read_text(encoding="utf-8")
+    said = tomllib.loads(text.split("```toml")[1].split("```")[0])
+    own = LinesOptions(**said)
+    line_map = map_of(own, "docs")
+    assert line_map.read("CH=37;ID=A7;S=79;ok") == Heard(-79.0, "A7", 37)
+    assert line_map.read("CH=37;idle") is None and own.heartbeat_s == 5
 
 
 @budget(max_examples=200, deadline=None)
