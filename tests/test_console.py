@@ -99,7 +99,7 @@ def test_a_line_of_a_mission_says_why_a_robot_is_held_and_is_not_broken(
     with Watch() as watch:
         watch.show(progress)
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith(f"r1 search; r2 {doing['r2']}")
+    assert line.endswith(f"one still hidden 50%  r1 search; r2 {doing['r2']}"), "words as on the page"
 
 
 def test_the_shell_is_told_how_to_complete() -> None:

@@ -129,7 +129,7 @@ def draw_probability(axes: Axes, history: History) -> None:
             axes.step(t, p, where="post", label=f"source {source.ident}")
     if history.left:
         t, p = zip(*history.left, strict=True)
-        axes.plot(t, p, color="black", ls=":", label="one is left")
+        axes.plot(t, p, color="black", ls=":", label="one still hidden")
     axes.axhline(history.mission.kernel.engine.found_probability, color="grey", lw=0.8, ls="--")
     axes.set(
         xlim=(0, max(history.duration_s, 1.0)), ylim=(0, 1.02), xlabel="mission time, s", ylabel="probability"
@@ -172,25 +172,32 @@ def use_of_robots(history: History, rows: Sequence[Stretch]) -> Figure:
     robots = list(history.tracks)
     figure, axes = _subplots(figsize=(8.4, 0.5 + 0.35 * max(1, len(robots))))
     kinds = sorted({kind(purpose) for *_, purpose in rows})
-    colour: dict[str, Any] = dict(
-        zip(kinds, [matplotlib.colormaps["tab10"](k) for k in range(10)], strict=False)
-    )
-    colour["held"] = "#d62728"
+    looks = _looks(kinds)
     for robot, start_s, end_s, purpose in rows:
         axes.barh(
             robots.index(robot),
             end_s - start_s,
             left=start_s,
-            color=colour.get(kind(purpose), "grey"),
             height=0.7,
+            **looks[kind(purpose)],
         )
     for each in kinds:
-        axes.barh(0, 0, color=colour.get(each, "grey"), label=each)
+        axes.barh(0, 0, label=each, **looks[each])
     axes.set_yticks(range(len(robots)), labels=robots)
     axes.set(xlim=(0, max(history.duration_s, 1.0)), xlabel="mission time, s")
     if kinds:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
     return figure
+
+
+def _looks(kinds: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """What a bar of each kind looks like: from dark to light, so that they differ on paper in black and white too."""
+    steady = [each for each in kinds if each != "held"]
+    shades = matplotlib.colormaps["cividis"](np.linspace(0.15, 0.9, max(1, len(steady))))
+    looks: dict[str, dict[str, Any]] = {
+        each: {"color": shade} for each, shade in zip(steady, shades, strict=False)
+    }
+    return looks | {"held": {"color": "white", "hatch": "////", "edgecolor": "black", "linewidth": 0.5}}
 
 
 def searched_map(history: History, covered: Coverage) -> Figure:

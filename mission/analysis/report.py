@@ -159,7 +159,7 @@ def _cards(history: History, covered: Coverage) -> list[tuple[str, str]]:
         (words.percent(covered.searched_share), "of the field searched"),
     ]
     if history.left:
-        cards.append((words.percent(history.left[-1][1]), "that one is left"))
+        cards.append((words.percent(history.left[-1][1]), "one still hidden"))
     return [*cards, (words.minutes(history.duration_s), "of mission")]
 
 

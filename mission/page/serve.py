@@ -18,6 +18,9 @@ from mission.page.server import Page
 from mission.page.view import View
 from mission.shell.runner import Runner
 
+ON_THE_PAGE = "operator, on the page"
+"""Why something is done that was pressed there."""
+
 
 class LivePage:
     """A page for one mission. `follower` goes to the runner, which is then attached."""
@@ -58,8 +61,7 @@ class LivePage:
             return why
 
         def put() -> None:
-            action = command["action"]
-            runner.put(Operator(runner.setup.clock.now_ns(), **{"reason": f"page: {action}"} | command))
+            runner.put(Operator(runner.setup.clock.now_ns(), **{"reason": ON_THE_PAGE} | command))
 
         loop.call_soon_threadsafe(put)
         return ""

@@ -140,7 +140,7 @@ def _look(path: Path, name: str) -> Run | UnreadRun:
         said = recording.summary()
         result = recording.result() if recording.complete else None
     except (RecordingError, OSError) as error:
-        return {"name": name, "error": str(error)}
+        return {"name": name, "error": str(error).removeprefix(f"{path}: ")}  # which one stands beside it
     return {
         "name": name,
         "start_ns": said["start_ns"],

@@ -92,7 +92,7 @@ def keyboard(runner: Runner) -> Iterator[None]:
         except NotUnderstood as refusal:
             print(refusal, file=sys.stderr)
             return
-        runner.put(Operator(runner.setup.clock.now_ns(), action, robot, f"terminal: {action}"))
+        runner.put(Operator(runner.setup.clock.now_ns(), action, robot, "operator, in the terminal"))
 
     def ready() -> None:
         try:

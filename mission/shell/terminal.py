@@ -112,7 +112,7 @@ def _line(progress: Progress) -> str:
     doing = "; ".join(f"{team} {what}" for team, what in _teams(progress))
     return (
         f"{progress.elapsed_s:6.0f} s  {progress.detections:3d} detections  {found} found  "
-        f"{candidates} candidates  left {progress.probability_left:.2f}  {doing}"
+        f"{candidates} candidates  one still hidden {progress.probability_left:.0%}  {doing}"
     )
 
 
@@ -120,7 +120,7 @@ def _panel(progress: Progress) -> Group:
     found, candidates = _found(progress)
     head = Text(f"{progress.elapsed_s:6.0f} s   {progress.detections} detections   ", style="bold")
     head.append(f"{found} found", style="bold green" if found else "bold")
-    head.append(f"   {candidates} candidates   one is left: {progress.probability_left:.2f}")
+    head.append(f"   {candidates} candidates   one still hidden: {progress.probability_left:.0%}")
     table = Table.grid(padding=(0, 2))
     rows = sorted(_teams(progress), key=lambda row: ":" not in row[1])  # whoever is held stands first
     for team, what in rows[:MOST_TEAMS]:

@@ -121,7 +121,7 @@ def test_the_mission_is_ended(tab: Any, flown: Flown) -> None:
     button.click()
     button.click()
     wait_until(lambda: flown.runner.end_reason)
-    assert flown.asked("end")
+    assert flown.asked("end") and flown.runner.end_reason == "operator, on the page"
 
 
 def test_belief_robots_and_sources_are_drawn(tab: Any, flown: Flown) -> None:

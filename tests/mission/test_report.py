@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from typer.testing import CliRunner
 
 from fieldkit.cli import build
 from fieldkit.errors import ConfigError, RecordingError
 from fieldkit.messages import Hold, Operator, Pose, ReceiverState, RssReading, Tick, VehicleState
 from fieldkit.recording import RecordingWriter, open_recording
+from mission.analysis import plots
 from mission.analysis.faults import faults
 from mission.analysis.history import read_history
 from mission.analysis.next_steps import next_steps
@@ -117,6 +119,13 @@ def test_faults_are_told_once_each_with_how_long_they_lasted(log: Path, tmp_path
     page = tmp_path / "report.html"
     write_report(path, page)
     assert "the disk is on fire" in page.read_text()
+
+
+def test_what_robots_did_differs_on_paper_in_black_and_white() -> None:
+    looks = plots._looks(["held", "on a candidate", "on a ridge", "searching", "waiting"])
+    assert looks["held"].pop("hatch")
+    greys = sorted(to_rgb(each["color"]) @ np.array([0.299, 0.587, 0.114]) for each in looks.values())
+    assert np.diff(greys).min() > 0.1
 
 
 def test_shares_of_a_robots_time_make_a_whole(log: Path) -> None:

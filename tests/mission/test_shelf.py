@@ -50,6 +50,11 @@ def test_files_that_vanish_and_names_that_are_no_letters_leave_the_list(page: Pa
     status, text = said(f"{page.address}runs/list")
     runs = {run["name"]: run.get("error", "") for run in json.loads(text)["runs"]}
     assert status == 200 and set(runs) == {"mission.mcap", "?.mcap"} and "rename it" in runs["?.mcap"]
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / "mission.mcap").read_bytes()[:3000])
+    (cut,) = [
+        run for run in json.loads(said(f"{page.address}runs/list")[1])["runs"] if run["name"] == "cut.mcap"
+    ]
+    assert str(tmp_path) not in cut["error"], "which one it is stands beside it"
     assert said(f"{page.address}runs/open", b'{"name": "?.mcap"}')[0] == 400
 
 
