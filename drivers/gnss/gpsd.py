@@ -67,9 +67,13 @@ def _fix(report: dict[str, Any]) -> Fix:
 
 def _number(report: dict[str, Any], key: str) -> float | None:
     value = report.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return float(value)
+    try:
+        number = float(value)
+    except OverflowError:  # JSON knows whole numbers of any length
+        return None
+    return number if math.isfinite(number) else None
 
 
 def _utc_s(text: object) -> float | None:

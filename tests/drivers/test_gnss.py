@@ -2,6 +2,7 @@
 
 import asyncio
 import random
+import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -260,6 +261,26 @@ async def test_a_gpsd_that_dies_leaves_its_robot_absent_until_it_is_back() -> No
         await until(lambda: len(poses) > before and not source.absent)
     await gpsd.die()
     assert poses[0].sigma_m == pytest.approx(2.5)
+
+
+async def test_no_report_however_odd_ends_the_reader(
+    unused_udp_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    odd = b'{"class":"TPV","mode":3,"epx":1,"epy":1,"lat":1' + b"0" * 400 + b',"lon":8}\n'
+    assert [fix.why_absent for fix in GpsdReader().feed(odd, 0.0)] == ["no fix yet"]
+    async with following(robots={"ada": f"udp://127.0.0.1:{unused_udp_port}"}) as (source, poses):
+        sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        with monkeypatch.context() as broken:
+            broken.setattr(NmeaReader, "feed", lambda *_: 1 / 0)
+            sender.sendto(b"x", ("127.0.0.1", unused_udp_port))
+            await until(lambda: "division by zero" in source.absent.get("ada", ""))
+        for k in range(100):
+            sender.sendto(nmea(Seen(START_NS + k * 10**9, 3.0, 4.0), FRAME), ("127.0.0.1", unused_udp_port))
+            await asyncio.sleep(0.05)
+            if poses:
+                break
+        sender.close()
+        assert poses
 
 
 async def test_a_phone_may_send_nmea_over_udp(unused_udp_port: int) -> None:
