@@ -59,12 +59,25 @@ class LivePage:
             why := runner.safety.settings.forbids_closing(command["area_m"])
         ):
             return why
+        if command["action"] in ("mark", "bearing") and (why := _why_nowhere(runner, command["robot"])):
+            return why
 
         def put() -> None:
             runner.put(Operator(runner.setup.clock.now_ns(), **{"reason": ON_THE_PAGE} | command))
 
         loop.call_soon_threadsafe(put)
         return ""
+
+
+def _why_nowhere(runner: Runner, robot: str) -> str:
+    """Why a person's word of where they stand would name another place; empty where it would not."""
+    pose = runner.kernel.robots[robot].pose
+    if pose is None:
+        return f"where {robot} is, is not known yet: say it again when there is a position"
+    age_s = (runner.setup.clock.now_ns() - pose.t_ns) * 1e-9
+    if age_s <= runner.safety.settings.pose_timeout_s:
+        return ""
+    return f"the last position of {robot} is {age_s:.0f} s old: stay here, and say it again when there is a new one"
 
 
 @contextmanager

@@ -1,9 +1,11 @@
 """People in missions: advice, what safety asks of them, and a whole walk on emulated devices."""
 
+import asyncio
 import math
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -11,9 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 from fieldkit.cli import build
-from fieldkit.clock import RealClock
+from fieldkit.clock import RealClock, VirtualClock
 from fieldkit.errors import ConfigError
-from fieldkit.messages import GoTo, Hold, Operator, Pose, Tick, VehicleState, Waypoint
+from fieldkit.messages import Event, GoTo, Hold, Operator, Pose, Tick, VehicleState, Waypoint
 from fieldkit.ports import PositionSource
 from fieldkit.world.walker import Walker, WanderingError, body_loss_db
 from mission.cli.walk import _receiver
@@ -25,8 +27,10 @@ from mission.core.walk_text import WalkOptions, walk_text
 from mission.lab.study.walk import GUIDES, Job, _lanes, summary, trial, walk_mission
 from mission.lab.synthetic import small_mission
 from mission.page.commands import checked_command
+from mission.page.serve import LivePage
 from mission.safety.rules import Safety
 from mission.shell.intake import streams_of
+from mission.shell.runner import Runner
 
 S = 10**9
 
@@ -121,6 +125,25 @@ def test_a_bearing_taken_is_written_down_as_a_persons_word_and_changes_nothing_e
     )
     assert not taken.commands and kernel.digest() == before
     assert isinstance(checked_command({"action": "bearing", "robot": "r1", "bearing_deg": "<b>"}), str)
+
+
+async def test_nobody_says_here_while_the_last_position_is_old(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path, duration_s=5.0)
+    clock, said = VirtualClock(), list[Event]()
+    runner = SimpleNamespace(
+        mission=mission, kernel=Kernel(mission.kernel), safety=Safety(mission.safety), put=said.append,
+        setup=SimpleNamespace(clock=clock), recorder=SimpleNamespace(path=tmp_path),
+    )  # fmt: skip
+    page = LivePage(mission, "127.0.0.1", 0)
+    page.attach(cast(Runner, runner))
+    assert "not known yet" in page._command({"action": "mark", "robot": "r1"})
+    runner.kernel.step(Pose(S, "r1", 2.0, 3.0))
+    clock.advance_to(2 * S)
+    assert page._command({"action": "mark", "robot": "r1"}) == ""
+    clock.advance_to(61 * S)
+    assert "r1 is 60 s old" in page._command({"action": "mark", "robot": "r1"})
+    await asyncio.sleep(0)
+    assert [event.action for event in said if isinstance(event, Operator)] == ["mark"]
 
 
 # -- the world -------------------------------------------------------------------------------------------------
