@@ -123,8 +123,8 @@ def photograph_editor(tab: Any, folder: Path) -> None:
         tab.screenshot(path=OUT / "plan-new.png")
         write(tab, "#address", f"udpin:127.0.0.1:{port}")
         tab.click("#heard")
-        for word in ("system 1", "system 2", "begin the field"):
-            tab.locator("#around .thing", has_text=word).locator("button").click()
+        for row in range(3):  # both vehicles, and where the field begins
+            tab.locator("#around .thing").nth(row).locator("button").click()
         tab.wait_for_selector(".robot >> nth=1")
         part(tab, "robots", "plan-heard")
         for key, value in (("size_east_m", "10"), ("size_north_m", "10")):

@@ -311,6 +311,8 @@ class Runs(TypedDict):
 
     folder: str
     runs: list[Run | UnreadRun]
+    unlisted: int
+    """So many more are there."""
 
 
 class OpenedRun(TypedDict):

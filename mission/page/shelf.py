@@ -43,6 +43,8 @@ class Shelf:
         self._known: dict[Path, tuple[tuple[int, int], Run | UnreadRun]] = {}
         """What was found out of a file, and of which state of it."""
         self._open: OrderedDict[str, tuple[State, AbstractContextManager[Page], Page]] = OrderedDict()
+        self.unlisted = 0
+        """Recordings that `rows` had no room for."""
         self._one_at_a_time = asyncio.Lock()
 
     def routes(self) -> Mapping[str, Answer]:
@@ -70,6 +72,7 @@ class Shelf:
         files = [Path(top) / name for top, _, names in os.walk(self._folder) for name in names]
         files = [path for path in files if path.suffix == ".mcap" and not is_later_part(path)]
         rows = [self._row(path) for path in sorted(files, reverse=True)[:MOST_LISTED]]
+        self.unlisted = max(0, len(files) - MOST_LISTED)
         return sorted((row for row in rows if row is not None), key=_start_ns, reverse=True)
 
     def _row(self, path: Path) -> Run | UnreadRun | None:
@@ -100,7 +103,7 @@ class Shelf:
     async def _list(self, request: Request) -> Response:
         async with self._one_at_a_time:
             rows = await asyncio.to_thread(self.rows)
-        runs: Runs = {"folder": str(self._folder.absolute()), "runs": rows}
+        runs: Runs = {"folder": str(self._folder.absolute()), "runs": rows, "unlisted": self.unlisted}
         return JSONResponse(runs)
 
     async def _chosen(self, request: Request) -> Response:

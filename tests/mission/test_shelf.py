@@ -58,6 +58,15 @@ def test_files_that_vanish_and_names_that_are_no_letters_leave_the_list(page: Pa
     assert said(f"{page.address}runs/open", b'{"name": "?.mcap"}')[0] == 400
 
 
+def test_more_than_can_be_listed_are_counted(
+    page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mission.page.shelf.MOST_LISTED", 1)
+    (tmp_path / "another.mcap").write_bytes(b"x")
+    answer = json.loads(said(f"{page.address}runs/list")[1])
+    assert len(answer["runs"]) == 1 and answer["unlisted"] == 1
+
+
 def test_what_is_posted_is_refused_in_words(page: Page) -> None:
     for body in (*ODD_POSTS, b'"' + b"x" * LONGEST_QUESTION + b'"'):
         status, text = said(f"{page.address}runs/open", body)

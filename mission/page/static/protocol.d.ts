@@ -413,6 +413,8 @@ export interface Run {
 export interface Runs {
   folder: string;
   runs: (Run | UnreadRun)[];
+  /** So many more are there. */
+  unlisted: number;
 }
 
 /** Those of [safety]. */

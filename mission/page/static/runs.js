@@ -73,8 +73,8 @@ async function list() {
   $("folder").textContent = found.folder.split(/[\\/]/).at(-1) ?? "";
   $("folder").title = found.folder;
   $("rows").replaceChildren(...found.runs.map(row));
-  $("none").textContent = `There is no recording in ${found.folder}. A mission makes one: fieldkit run mission.toml`;
-  $("none").hidden = found.runs.length > 0;
+  $("none").textContent = found.runs.length ? `${found.unlisted} more are in ${found.folder}: name a folder in it.` : `There is no recording in ${found.folder}. A mission makes one: fieldkit run mission.toml`;
+  $("none").hidden = found.runs.length > 0 && !found.unlisted;
 }
 
 again.addEventListener("click", list);
