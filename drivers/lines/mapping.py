@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+from drivers.lines.patterns import endless
 from fieldkit.errors import ConfigError
 
 FORMATS = ("json", "regex", "csv")
@@ -84,8 +85,14 @@ class LineMap:
         if self.format == "regex":
             try:
                 groups = list(re.compile(self.pattern).groupindex)
-            except re.error as error:
+                thinks_for_ever = endless(self.pattern)
+            except (re.error, RecursionError) as error:
                 raise ConfigError(f"{where}: option 'pattern': not a regular expression: {error}") from error
+            if thinks_for_ever:
+                raise ConfigError(
+                    f"{where}: option 'pattern': a repeat within a repeat, as in (\\w+)*, takes for ever on some "
+                    "lines, and stops everything meanwhile: repeat once"
+                )
             self._all_known(keys, groups, f"{where}: option 'pattern' has the named groups", "(?P<rss>...)")
         if self.format == "csv":
             names = [name.rstrip("*") for name in self.columns]

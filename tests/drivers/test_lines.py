@@ -23,6 +23,7 @@ from drivers.emulators.printer import STYLES, PrintingRadio
 from drivers.emulators.wires import PluggedModule, PtyWire
 from drivers.lines.mapping import Heard, LineMap, NoReadingError
 from drivers.lines.maps import MAPS
+from drivers.lines.patterns import endless
 from drivers.lines.propose import propose
 from drivers.lines.receiver import LONGEST_LINE, SENSELESS, LinesOptions, LineSplitter, map_of, open_receiver
 from fieldkit.clock import RealClock
@@ -155,6 +156,7 @@ def test_units_signs_and_commas_are_stated_once() -> None:
         ({"map": "esp"}, "option 'map': expected one of json, esp32-wifi"),
         ({"format": "xml"}, "option 'format': expected json, regex, csv"),
         ({"format": "regex", "pattern": "("}, "not a regular expression"),
+        ({"format": "regex", "pattern": r"(?P<rss>\d+) (\w+\s?)*$"}, "a repeat within a repeat"),
         ({"format": "regex", "pattern": "(?P<power>x)"}, "named groups power; rss is missing"),
         ({"format": "csv", "columns": ["a", "b"]}, "option 'columns' names a, b; rss is missing"),
         ({"map": "json", "unit": "mW"}, "option 'unit': expected dBm"),
@@ -178,6 +180,18 @@ def test_the_map_of_ones_own_that_the_docs_show_reads_what_they_say() -> None:
     line_map = map_of(own, "docs")
     assert line_map.read("CH=37;ID=A7;S=79;ok") == Heard(-79.0, "A7", 37)
     assert line_map.read("CH=37;idle") is None and own.heartbeat_s == 5
+
+
+@pytest.mark.parametrize("pattern", [r"(\w+\s?)*$", "((a+))+", r"x(\s*\d+)*", "(a*b*)*", "(?:q|(a+){2,})"])
+def test_a_pattern_that_would_stop_everything_is_recognised(pattern: str) -> None:
+    assert endless(pattern)
+
+
+@pytest.mark.parametrize(
+    "pattern", [*(each.pattern for each in MAPS.values()), r"(\w+,)*x", "(a{2})+", "(ab?)+"]
+)
+def test_patterns_that_are_quick_are_taken(pattern: str) -> None:
+    assert not endless(pattern)
 
 
 @budget(max_examples=200, deadline=None)
