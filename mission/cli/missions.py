@@ -328,8 +328,9 @@ def check(
         print_json({"mission": str(mission_file), "ok": True, "advice": advice})
         return
     engine = mission.kernel.engine
+    teams = "1 team" if len(engine.teams) == 1 else f"{len(engine.teams)} teams"
     typer.echo(
-        f"{mission_file}: good. {len(engine.robots)} robots in {len(engine.teams)} teams, {engine.grid.n_east} x "
+        f"{mission_file}: good. {len(engine.robots)} robots in {teams}, {engine.grid.n_east} x "
         f"{engine.grid.n_north} cells, belief {mission.kernel.belief}, planner {mission.kernel.planner}"
     )
     for line in advice:

@@ -1,5 +1,6 @@
 """The page without a browser: what is kept for a slow one, what is built up from the stream, who may ask."""
 
+import base64
 import json
 import re
 import socket
@@ -263,3 +264,13 @@ def test_the_page_says_how_large_the_recording_is_and_when_the_disk_fills(
     assert DiskWords(path).now() == "DISK NEARLY FULL: 1.2 GB left"
     path.unlink()
     assert "cannot be seen" in DiskWords(path).now()
+
+
+def test_where_nothing_is_known_the_map_is_dark_and_a_peak_is_bright() -> None:
+    def shown(values: np.ndarray) -> np.ndarray:
+        return np.frombuffer(base64.b64decode(grid("belief", values, 1.0)["data"]), dtype=np.uint8)
+
+    unknown = np.full((20, 20), 0.0016)
+    assert shown(unknown).max() < 100
+    unknown[3, 4] = 0.03
+    assert shown(unknown).max() == 255
