@@ -155,7 +155,7 @@ async def positions_from_file() -> AsyncIterator[PositionSourceBench]:
         yield PositionSourceBench(open_file({"path": str(path)}, around(ScaledClock(5.0))))
 
 
-async def until(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
+async def until(condition: Callable[[], object], timeout_s: float = 30.0) -> None:
     """Wait until `condition` holds; `AssertionError` if it does not within `timeout_s` of wall time."""
     for _ in range(int(timeout_s / 0.005)):
         if condition():
