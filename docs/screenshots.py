@@ -15,17 +15,13 @@ import numpy as np
 from PIL import Image, ImageDraw
 from playwright.sync_api import sync_playwright
 
-from fieldkit.clock import ScaledClock
 from fieldkit.geo import FieldFrame
-from fieldkit.plugins import load
 from fieldkit.recording.reader import open_recording
-from fieldkit.world.sources import TransientSource
-from mission.lab.synthetic import record_simulated, small_mission
+from mission.lab.synthetic import emulated_pair, record_simulated, small_mission
 from mission.lab.walk_demo import ORIGIN_DEG, SIZE_M, demo_walk
 from mission.page import serve
 from mission.plan.serve import plan
 from mission.shell.flight import fly
-from mission.shell.setups import _free_udp_port, radio_of
 from mission.shell.warm_up import warm_up
 
 OUT = Path(__file__).with_name("pictures")
@@ -104,24 +100,16 @@ def photograph(address: str, went_wrong: list[BaseException]) -> None:
 
 def photograph_editor(tab: Any, folder: Path) -> None:
     """The steps from no file to a mission that may start, on two emulated rovers with radios."""
-    mission, port = small_mission(folder), _free_udp_port()
-    emulate = load("fieldkit.emulators", "field")
+    mission = small_mission(folder)
     with (
-        emulate(
-            clock=ScaledClock(1.0),
-            frame=mission.frame,
-            antenna=radio_of(mission),
-            sources=(TransientSource(3.0, 3.0, 0.0, 1.0),),
-            robots=(("r1", 1, 3.0, 2.0, 0.0, "rover"), ("r2", 2, 6.0, 2.0, 0.0, "rover")),
-            vehicle_address=f"127.0.0.1:{port}",
-            seed=SEED,
-        ) as field,
+        emulated_pair(mission) as (field, address),
         plan(folder / "north-meadow.toml") as page,
     ):
+        lat_deg, lon_deg, _ = mission.frame.to_geodetic(0.0, 0.0)
         tab.goto(page.command_address)
         tab.wait_for_selector("#remarks li.red")
         tab.screenshot(path=OUT / "plan-new.png")
-        write(tab, "#address", f"udpin:127.0.0.1:{port}")
+        write(tab, "#address", f"udpin:{address}")
         tab.click("#heard")
         for row in range(3):  # both vehicles, and where the field begins
             tab.locator("#around .thing").nth(row).locator("button").click()
@@ -129,7 +117,6 @@ def photograph_editor(tab: Any, folder: Path) -> None:
         part(tab, "robots", "plan-heard")
         for key, value in (("size_east_m", "10"), ("size_north_m", "10")):
             write(tab, f'[data-key="field.{key}"]', value)
-        lat_deg, lon_deg, _ = mission.frame.to_geodetic(0.0, 0.0)
         write(tab, '[data-key="field.origin_lat_deg"]', f"{lat_deg:.7f}")
         write(tab, '[data-key="field.origin_lon_deg"]', f"{lon_deg:.7f}")
         part(tab, "remarks", "plan-remarks")

@@ -6,6 +6,7 @@ License (OFL.txt): `inter-latin` and `inter-latin-ext` for browsers, `inter-regu
 
 import base64
 import io
+import re
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,25 +15,27 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FOLDER = Path(__file__).parent
-TYPEFACES = {path.name: path for path in sorted(FOLDER.glob("*.woff2"))}
-"""Files that a page may ask for, by name."""
+TYPEFACES = {path.name: path for path in (FOLDER / "typeface.css", *sorted(FOLDER.glob("*.woff2")))}
+"""Files that a page may ask for, by name: the style that names the typeface, and its letters."""
 ROBOT_COLOURS = ("#56b4e9", "#e69f00", "#cc79a7", "#0fb68a", "#f0e442", "#d55e00", "#8c7ae6", "#4a90d9")
 """A robot is the same colour on page, report and plot."""
 FOUND, CANDIDATE, INCONSISTENT, TRUTH = "#0a7a4b", "#a65a00", "#5f6b76", "#000000"
 """As on the live page by day."""
 MEASURED, MODEL = "#1767a8", "#b3201a"
 """Readings, and what was fitted to them."""
-LATIN = "U+0000-00FF,U+0131,U+0152-0153,U+02C6,U+02DC,U+2000-206F,U+20AC,U+2122,U+2191,U+2193,U+2212,U+2215"
+
+
+def typeface_css() -> str:
+    """The typeface for a page without a server: the letters of most of Europe in it, others are the browser's own."""
+    style = (FOLDER / "typeface.css").read_text(encoding="utf-8")
+    style = re.sub(r"@font-face[^}]*latin-ext[^}]*}", "", style)
+    source = base64.b64encode(TYPEFACES["inter-latin.woff2"].read_bytes()).decode()
+    return style.replace("inter-latin.woff2", f"data:font/woff2;base64,{source}")
 
 
 def paper_css() -> str:
     """The style of pages that are read and printed, with the typeface in it."""
-    source = base64.b64encode(TYPEFACES["inter-latin.woff2"].read_bytes()).decode()
-    face = (
-        "@font-face { font-family: Inter; font-weight: 100 900; "
-        f'src: url(data:font/woff2;base64,{source}) format("woff2"); unicode-range: {LATIN}; }}\n'
-    )
-    return face + (FOLDER / "paper.css").read_text(encoding="utf-8")
+    return typeface_css() + (FOLDER / "paper.css").read_text(encoding="utf-8")
 
 
 def svg(figure: "Figure") -> str:

@@ -1,20 +1,24 @@
 """A small mission in virtual time, recorded: for tests, benchmarks and examples that need a recording at once."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
 from fieldkit.channel.model import Antenna
+from fieldkit.clock import ScaledClock
 from fieldkit.files import write_whole
+from fieldkit.plugins import load
 from fieldkit.world.sources import TransientSource, random_sources
 from mission.core.mission_file import Mission, read_mission
 from mission.core.template import TemplateRobot, mission_text
 from mission.lab.simulate import Truth
 from mission.lab.simulated import fly_simulated
-from mission.shell.setups import radio_of, start_places
+from mission.shell.setups import free_udp_port, radio_of, start_places
 
 ANTENNA = Antenna(2.53, -62.0, 3.3, -70.0, -36.0)
 LEVELS_DB = (-8.0, -6.0, -4.0, -2.0, 0.0)
@@ -89,3 +93,23 @@ def record(mission: Mission, path: Path, seed: int) -> Path:
     truth = Truth(radio_of(mission), hidden_sources(seed), tuple(start_places(mission).values()))
     fly_simulated(mission, truth, seed, path, {"mission": "synthetic", "seed": seed})
     return path
+
+
+@contextmanager
+def emulated_pair(mission: Mission) -> Iterator[tuple[Any, str]]:
+    """Two emulated rovers with radios and a transmitter near them, on real wires in a mission's field.
+
+    The field, whose `receiver_ports` are by robot, and the address to which the rovers' telemetry goes.
+    """
+    address = f"127.0.0.1:{free_udp_port()}"
+    emulate = load("fieldkit.emulators", "field")
+    with emulate(
+        clock=ScaledClock(1.0),
+        frame=mission.frame,
+        antenna=radio_of(mission),
+        sources=(TransientSource(3.0, 3.0, 0.0, 1.0),),
+        robots=(("r1", 1, 3.0, 2.0, 0.0, "rover"), ("r2", 2, 6.0, 2.0, 0.0, "rover")),
+        vehicle_address=address,
+        seed=1,
+    ) as field:
+        yield field, address

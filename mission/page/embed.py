@@ -9,7 +9,7 @@ import html
 import json
 import re
 
-from fieldkit.look import TYPEFACES
+from fieldkit.look import typeface_css
 from fieldkit.recording.reader import Recording
 from mission.page.past import PastShow
 from mission.page.protocol import GridName, Recorded
@@ -28,7 +28,7 @@ NOTHING_STORED = (
 def embedded(recording: Recording) -> str:
     """An `<iframe>` with the page of a recording. Raises `RecordingError`."""
     text = (STATIC / "page.html").read_text(encoding="utf-8")
-    style = _with_typeface((STATIC / "page.css").read_text(encoding="utf-8"))
+    style = typeface_css() + (STATIC / "page.css").read_text(encoding="utf-8")
     modules = {path.stem: path.read_text(encoding="utf-8") for path in STATIC.glob("*.js")}
     modules = {name: source for name, source in modules.items() if not name.startswith(("plan", "runs"))}
     modules["socket"] = modules.pop("recorded")
@@ -41,6 +41,7 @@ def embedded(recording: Recording) -> str:
         f'<script type="importmap">{json.dumps({"imports": addresses})}</script>'
         f'<script type="application/json" id="recorded">{data}</script>'
     )
+    text = text.replace('<link rel="stylesheet" href="typeface.css">', "")
     text = text.replace('<link rel="stylesheet" href="page.css">', head)
     text = text.replace('<link rel="icon" href="icon.svg" type="image/svg+xml">', "")
     start = '<script type="module">import "fieldkit/main.js";</script>'
@@ -49,13 +50,6 @@ def embedded(recording: Recording) -> str:
     )
     title = "The mission's page, to move about in"
     return f'<iframe title="{title}" sandbox="allow-scripts" srcdoc="{html.escape(text)}"></iframe>'
-
-
-def _with_typeface(style: str) -> str:
-    """The typeface inside; what it lacks is the browser's."""
-    style = re.sub(r"@font-face[^}]*latin-ext[^}]*}", "", style)
-    source = base64.b64encode(TYPEFACES["inter-latin.woff2"].read_bytes()).decode()
-    return style.replace("inter-latin.woff2", f"data:font/woff2;base64,{source}")
 
 
 def _address(source: str) -> str:

@@ -112,7 +112,7 @@ def emulated(
     """
     emulate = plugins.load("fieldkit.emulators", "field")
     clock = ScaledClock(rate)
-    port = _free_udp_port()
+    port = free_udp_port()
     starts = start_places(mission)
     flying = mission.safety.altitude_m
     radio = "nrf-sniffer" if dongles else "xbee"
@@ -176,7 +176,7 @@ def start_places(mission: Mission) -> dict[str, tuple[float, float]]:
     return places
 
 
-def _free_udp_port() -> int:
+def free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -4,20 +4,15 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 from flying import looking
 
-from fieldkit.clock import ScaledClock
-from fieldkit.plugins import load
-from fieldkit.world.sources import TransientSource
-from mission.core.mission_file import Mission, read_mission
-from mission.lab.synthetic import small_mission
+from mission.core.mission_file import read_mission
+from mission.lab.synthetic import emulated_pair, small_mission
 from mission.plan.serve import plan
-from mission.shell.setups import radio_of
 
 STORED = "() => document.getElementById('stored').textContent === 'stored'"
 MENDED = "() => document.getElementById('verdict').className !== 'red'"
@@ -49,29 +44,9 @@ def settled(tab: Any, words: str) -> None:
     tab.wait_for_function("(words) => document.getElementById('text').textContent.includes(words)", arg=words)
 
 
-@contextmanager
-def field_of(folder: Path) -> Iterator[tuple[Any, int]]:
-    """Two emulated robots with radios, on the wire; the field's ports and the UDP port of the telemetry."""
-    from mission.shell.setups import _free_udp_port
-
-    made: Mission = read_mission(folder / "made" / "mission.toml")
-    port = _free_udp_port()
-    emulate = load("fieldkit.emulators", "field")
-    with emulate(
-        clock=ScaledClock(1.0),
-        frame=made.frame,
-        antenna=radio_of(made),
-        sources=(TransientSource(3.0, 3.0, 0.0, 1.0),),
-        robots=(("r1", 1, 2.0, 1.0, 0.0, "rover"), ("r2", 2, 6.0, 1.0, 0.0, "rover")),
-        vehicle_address=f"127.0.0.1:{port}",
-        seed=1,
-    ) as field:
-        yield field, port
-
-
 def test_a_newcomer_gets_from_nothing_to_a_mission_that_may_start(browser: Any, folder: Path) -> None:
     with (
-        field_of(folder) as (field, port),
+        emulated_pair(read_mission(folder / "made" / "mission.toml")) as (field, address),
         plan(folder / "mission.toml") as page,
         looking(browser, page.command_address) as tab,
     ):
@@ -83,7 +58,7 @@ def test_a_newcomer_gets_from_nothing_to_a_mission_that_may_start(browser: Any, 
         fill(tab, "field.size_north_m", "10")
         settled(tab, "size_north_m = 10")
         # Which vehicles are there? They are heard, and added by a press.
-        tab.fill("#address", f"udpin:127.0.0.1:{port}")
+        tab.fill("#address", f"udpin:{address}")
         tab.click("#heard")
         tab.wait_for_selector("#around .thing >> text=system 2")
         tab.locator("#around .thing >> nth=0").locator("button").click()

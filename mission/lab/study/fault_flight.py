@@ -112,7 +112,7 @@ async def fly(job: Job, folder: Path, *, with_faults: bool) -> dict[str, Any]:
     mission, sources = _prepare(job, folder)
     clock = jumploop.LoopClock(START_NS)
     factory = plugins.load("fieldkit.emulators", "fleet")
-    port = _free_udp_port()
+    port = free_udp_port()
     key = (folder / "link.key").read_bytes()
     spec = factory.spec_type(
         mission.frame, start_places(mission), ("127.0.0.1", port), job.seed, signing_key=key
@@ -260,7 +260,7 @@ def _forgiven(flight: Flight) -> bool:
     return len(flight.recordings) > 1
 
 
-def _free_udp_port() -> int:
+def free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
