@@ -186,6 +186,15 @@ def test_a_file_changed_by_hand_meanwhile_is_not_overwritten(browser: Any, folde
     assert path.read_text().endswith("# by hand\n")
 
 
+def test_nothing_can_be_pressed_before_it_is_listened_to(browser: Any, folder: Path) -> None:
+    with (
+        plan(folder / "mission.toml") as page,
+        looking(browser, page.address + "#wrong", is_refused=True) as tab,
+    ):
+        tab.wait_for_selector("#notice >> text=token is wrong")
+        assert tab.evaluate("document.body.inert")
+
+
 def test_teams_that_there_are_stay_together(tab: Any) -> None:
     teams = tab.evaluate(
         "import('./plan-robots.js').then((m) => m.paired(['a', 'b', 'c', 'd', 'e'], [['d', 'a'], ['x']]))"

@@ -260,6 +260,7 @@ async function begin() {
   $("store").addEventListener("click", async () => { const state = await busy("store", "store", { body: {} }); if (state) now = { ...now, ...state }; fill(); });
   window.addEventListener("beforeunload", (event) => { if (!now.stored) event.preventDefault(); });
   fill();
+  document.body.inert = false; // a press before anything listens would be lost
 }
 begin();
 Object.assign(window, { fieldkitPlan: { get state() { return now; } } }); // for a look from the console
