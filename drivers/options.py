@@ -8,6 +8,9 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 from fieldkit.errors import ConfigError
 
 Options = TypeVar("Options")
+REMEDY = "remedy"
+"""Key of a field's metadata: what to write where a needed option is missing."""
+PORT = {REMEDY: 'write which one, as in port = "/dev/ttyUSB0"; "fieldkit devices" lists what is plugged in'}
 
 
 def checked(kind: type[Options], given: Mapping[str, Any], where: str) -> Options:
@@ -20,7 +23,8 @@ def checked(kind: type[Options], given: Mapping[str, Any], where: str) -> Option
     for name, item in known.items():
         if name not in given:
             if item.default is MISSING and item.default_factory is MISSING:
-                raise ConfigError(f"{where}: option '{name}' is missing")
+                remedy = item.metadata.get(REMEDY, "write it")
+                raise ConfigError(f"{where}: option '{name}' is missing: {remedy}")
             continue
         if not _fits(given[name], hints[name]):
             raise ConfigError(

@@ -17,7 +17,7 @@ from drivers.bounded_queue import BoundedQueue
 from drivers.camera.capture import Ended, Found, Task, run
 from drivers.camera.file import read_view
 from drivers.camera.seen import Body
-from drivers.options import checked
+from drivers.options import REMEDY, checked
 from fieldkit import settings as given
 from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.messages import Pose
@@ -36,9 +36,13 @@ AGAIN_S = 1.0
 class CameraOptions:
     """What a mission file says of a camera."""
 
-    source: str
+    source: str = field(metadata={REMEDY: 'write which camera, as in source = "0", or the path of a film'})
     """`rtsp://...` or another URL, a USB camera's number or path, or a video file."""
-    calibration: str
+    calibration: str = field(
+        metadata={
+            REMEDY: 'write the file that "fieldkit camera calibrate" made, as in calibration = "camera.toml"'
+        }
+    )
     """Path of the calibration file: see `file`."""
     robots: dict[str, Any] = field(default_factory=dict)
     """Robot to its mark: `{ marker = 7 }` or `{ front = "red", rear = "blue" }`, and perhaps `mark_m`,

@@ -9,7 +9,7 @@ import logging
 import math
 import zlib
 from collections.abc import AsyncIterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -26,7 +26,7 @@ from drivers.mavlink.talks import Talks
 from drivers.mavlink.tapped import TappedTransport
 from drivers.mavlink.transport import MAX_PEERS, Copy, Peer, make_transport
 from drivers.mavlink.vehicle import Vehicle
-from drivers.options import checked
+from drivers.options import REMEDY, checked
 from fieldkit.checks import Check
 from fieldkit.clock import Clock
 from fieldkit.errors import ConfigError, DeviceTimeout, VehicleRefused
@@ -50,7 +50,11 @@ REFUSED_MANY = 20
 class RobotOptions:
     """What a mission file says of a vehicle."""
 
-    system_id: int
+    system_id: int = field(
+        metadata={
+            REMEDY: 'write the vehicle\'s own number, as in system_id = 1; "fieldkit vehicles" lists who is heard'
+        }
+    )
     sigma_m: float = 0.0
     """Standard deviation of its positions; 0: take the GPS's own word."""
     own_system_id: int = SYSTEM_ID

@@ -2,12 +2,12 @@
 
 import asyncio
 from collections.abc import AsyncIterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.options import checked
+from drivers.options import REMEDY, checked
 from drivers.positions.tracks import Spot, Track, read_track
 from fieldkit.errors import ConfigError, DataError
 from fieldkit.geo import FieldFrame
@@ -19,7 +19,7 @@ from fieldkit.ports import DriverContext
 class FileOptions:
     """What a mission file says of a position log."""
 
-    path: str
+    path: str = field(metadata={REMEDY: 'write the file of positions, as in path = "track.gpx"'})
     """CSV, GPX, tlog, dataflash .bin, a ROS 2 bag or a fieldkit recording."""
     robot: str | None = None
     """The robot whose positions they are, where the log names none."""

@@ -6,12 +6,12 @@ import os
 import select
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from drivers.links import READ_TIMEOUT_S
-from drivers.options import checked
+from drivers.options import REMEDY, checked
 from drivers.sniffers.capture import CaptureError, CaptureReader, Packet
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.strength import (
@@ -43,7 +43,7 @@ LOOK_AT = 5
 class PcapOptions:
     """What a mission file says of a capture."""
 
-    port: str
+    port: str = field(metadata={REMEDY: 'write which capture, as in port = "capture.pcap", or a named pipe'})
     """Path of a capture file or a named pipe."""
     channel: int | None = None
     """Channel of the capture, where its packets do not say."""

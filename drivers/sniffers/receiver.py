@@ -6,11 +6,11 @@ Never verified on the devices themselves: written from the firmwares' documents 
 import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.links import ByteLink, UsbIdentity, arrival_ns, open_link, port_of, usb_identity
-from drivers.options import checked
+from drivers.options import PORT, checked
 from drivers.sniffers.ieee802154 import frame_id
 from drivers.sniffers.nrf import NrfText
 from drivers.sniffers.protocol import CHANNELS, Captured, SnifferProtocol
@@ -39,7 +39,7 @@ Starting takes 0.1 s, in which it hears nothing.
 class SnifferOptions:
     """What a mission file says of a sniffer dongle."""
 
-    port: str
+    port: str = field(metadata=PORT)
     channel: int = given.CHANNEL
     channels: list[int] | None = None
     """Listen on these in turn, `dwell_s` each, in place of `channel`."""

@@ -8,14 +8,14 @@ import contextlib
 import logging
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
 
 from digi.xbee.exception import InvalidOperatingModeException, XBeeException
 
 from drivers.links import UsbIdentity, open_link, port_of, usb_identity
-from drivers.options import checked
+from drivers.options import PORT, checked
 from drivers.reconnecting import ReconnectingReceiver
 from drivers.xbee.decode import WITHOUT_RSSI, Heard, db_answer, decode, name_of
 from drivers.xbee.diagnose import why_silent
@@ -38,7 +38,7 @@ REPLY_WITHIN_S = 2.0
 class XBeeOptions:
     """What a mission file says of a radio."""
 
-    port: str
+    port: str = field(metadata=PORT)
     """Device path, `socket://host:port`, `rfc2217://host:port` or another pyserial URL."""
     baud: int = given.BAUD
     saturation_dbm: float | None = None

@@ -22,7 +22,7 @@ from fieldkit.recording.reader import is_later_part
 VIEWS = ("missions", "sources", "readings", "detections")
 SUMMARY = """
 select planner, belief, count(*) as missions, round(median(localised_all_s), 0) as median_time_s,
-       sum(case when true_sources is not null and localised_all_s is null then 1 else 0 end) as unfinished,
+       sum(case when true_sources is not null and localised_all_s is null then 1 else 0 end) as not_all_found,
        sum(false_finds) as false_finds, round(avg(mean_error_m), 3) as mean_error_m,
        round(avg(duration_s), 0) as mean_duration_s, sum(case when identical = false then 1 else 0 end) as differing
 from missions group by all order by all

@@ -80,10 +80,10 @@ class History:
         return [source for source in self.final if source.state == "found"]
 
 
-def read_history(path: Path) -> History:
-    """Read a recording, whole or cut. Raises `RecordingError` for what is not one."""
-    recording = open_recording(path)
-    history = History(path, recording, recorded_mission(recording))
+def read_history(log: Path | Recording) -> History:
+    """Read a recording, whole or cut, opened already or not. Raises `RecordingError` for what is not one."""
+    recording = log if isinstance(log, Recording) else open_recording(log)
+    history = History(recording.path, recording, recorded_mission(recording))
     history.truth = list(recording.metadata.get("truth", []))
     poses: dict[str, list[tuple[int, float, float]]] = defaultdict(list)
     first_ns: int | None = None
@@ -99,7 +99,7 @@ def read_history(path: Path) -> History:
         else:
             later.append((item.log_time_ns, value, item.origin))
     if not poses and first_ns is None and not later:
-        raise RecordingError(f"{path}: it holds no events, so there is nothing to report")
+        raise RecordingError(f"{history.path}: it holds no events, so there is nothing to report")
     history.start_ns = first_ns or 0
     history.duration_s = max(0.0, (last_ns - history.start_ns) * 1e-9)
     for robot, rows in sorted(poses.items()):

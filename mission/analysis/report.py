@@ -11,6 +11,7 @@ from fieldkit.coordinates import coordinates
 from fieldkit.files import write_whole
 from fieldkit.look import paper_css, svg
 from fieldkit.messages import SourceEstimate
+from fieldkit.recording.reader import Recording
 from fieldkit.settings import ELLIPSE_90
 from mission.analysis import words
 from mission.analysis.coverage import Coverage, coverage
@@ -25,8 +26,8 @@ FEW_RECEPTIONS = 3.0
 """A source with fewer is not refined: three numbers cannot be estimated from so little."""
 
 
-def write_report(log: Path, out: Path, interactive: str = "") -> dict[str, Any]:
-    """Write the page on recording `log` to `out`, whole or not at all; its key figures.
+def write_report(log: Path | Recording, out: Path, interactive: str = "") -> dict[str, Any]:
+    """Write the page on a recording, opened already or not, to `out`, whole or not at all; its key figures.
 
     `interactive`: the mission's page as a piece of HTML, to stand in the report.
     """
@@ -35,9 +36,9 @@ def write_report(log: Path, out: Path, interactive: str = "") -> dict[str, Any]:
     refined = refinements(history)
     kernel = history.mission.kernel.engine
     fit = model_fit([d for _, d in history.detections], refined, kernel.antenna, kernel.pose_sigma_m)
-    write_whole(out, _page(log.name, history, covered, refined, fit, interactive))
+    write_whole(out, _page(history.path.name, history, covered, refined, fit, interactive))
     return {
-        "recording": str(log),
+        "recording": str(history.path),
         "complete": history.recording.complete,
         "missing": history.recording.missing,
         "duration_s": round(history.duration_s, 1),

@@ -50,6 +50,14 @@ def compare(
     show_table([_of_group(by, group) for group in said["groups"]])
     names = _short([row["recording"] for row in said["missions"]])
     show_table([_of_mission(name, row) for name, row in zip(names, said["missions"], strict=True)])
+    if any(group["unfinished"] is None for group in said["groups"]):
+        typer.echo(
+            "-: the recordings do not say where their sources truly were, as those of a simulation do."
+        )
+    elif any(group["unfinished"] for group in said["groups"]):
+        typer.echo(
+            "not all found: missions that ended before every source was found; they have no time to all."
+        )
     if out is not None:
         typer.echo(f"written: {out}")
     if pdf is not None:
@@ -107,6 +115,10 @@ def analyze(
         typer.echo(f"{len(jobs)} recordings, {new - len(refused)} of them taken in now; in {to}")
         if columns:
             show_table([dict(zip(columns, row, strict=True)) for row in rows])
+        if columns and not sql:
+            typer.echo(
+                "not_all_found: missions that ended before every source was found, where the truth is known."
+            )
         for each in refused:
             typer.echo(f"not taken in: {each['error']}", err=True)
     if refused:

@@ -58,7 +58,7 @@ def _past(recording: "Recording", *, host: str, port: int = 0) -> "AbstractConte
 
         with TemporaryDirectory() as folder:
             path = Path(folder) / "report.html"
-            write_report(recording.path, path, embedded(recording))
+            write_report(recording, path, embedded(recording))
             return path.read_bytes()
 
     return serve.past(recording, host=host, port=port, report=report)

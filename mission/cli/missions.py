@@ -117,7 +117,8 @@ def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
         say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above", always=True)
     try:
         recorded = folder / "mission.mcap"
-        write_report(recorded, folder / "report.html", embedded(open_recording(recorded)))
+        recording = open_recording(recorded)
+        write_report(recording, folder / "report.html", embedded(recording))
     except (OSError, FieldkitError) as error:
         again = f"'fieldkit report {folder}/mission.mcap -o FILE' tries again"
         say(f"no report was written: {error}; {again}", always=True)
@@ -269,7 +270,8 @@ def report(
     target = out or (log / "report.html" if log.is_dir() else log.with_name("report.html"))
     written = [target]
     with progress("writing the report"):
-        summary = write_report(log, target, embedded(open_recording(log)))
+        recording = open_recording(log)
+        summary = write_report(recording, target, embedded(recording))
         if pdf:
             from mission.analysis.pdf import write_pdf
 

@@ -68,7 +68,8 @@ def demo(
             folder, seed, rate=rate, on_progress=watch.show, page=shown, prepared=prepared
         )
     recorded = folder / "mission.mcap"
-    write_report(recorded, folder / "report.html", embedded(open_recording(recorded)))
+    recording = open_recording(recorded)
+    write_report(recording, folder / "report.html", embedded(recording))
     plain = result.plain(seed)
     if as_json:
         print_json(plain | {"report": str(folder / "report.html")})

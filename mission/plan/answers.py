@@ -110,7 +110,10 @@ class PlanAnswers:
         address = request.query_params.get("address", "")
         if not address or address.startswith("-"):
             raise ValueError("expected the address of a link, as udpin:0.0.0.0:14550")
-        return await _asked("vehicles", "--json", "--seconds", str(LISTEN_S), "--address", address)
+        found = await _asked("vehicles", "--json", "--seconds", str(LISTEN_S), "--address", address)
+        if found.status_code == 200:
+            self._desk.hear(json.loads(bytes(found.body)))
+        return found
 
     async def _preflight(self, request: Request) -> Response:
         if not self._desk.state()["stored"]:

@@ -1,7 +1,7 @@
 """The draft on the desk of the editor: held in memory, judged as it changes, written when it is asked for."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from mission.core.template import mission_text
 from mission.maps.background import Background, Ground, background_of
 from mission.plan.draft import form_of, plain_field, with_form
 from mission.plan.judge import judge
-from mission.plan.protocol import Choices, Draft
+from mission.plan.protocol import Choices, Draft, HeardVehicle, Standing
 
 PICTURES = (".mbtiles", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 MOST_FILES = 200
@@ -30,6 +30,7 @@ class Desk:
         self._stored = self._on_disk()
         self.text = mission_text(name=self.path.stem, robots=()) if self._stored is None else self._stored
         form_of(self.text)
+        self._heard: dict[int, tuple[float, float]] = {}
 
     def state(self) -> Draft:
         """All that the page shows of it."""
@@ -43,6 +44,7 @@ class Desk:
             ],
             "stored": self.text == self._stored,
             "new": self._stored is None,
+            "standing": self._standing(),
         }
 
     def choices(self) -> Choices:
@@ -58,29 +60,25 @@ class Desk:
         """Take in what the form says now. Raises `ConfigError`."""
         self.text = with_form(self.text, form)
 
+    def hear(self, vehicles: Sequence[HeardVehicle]) -> None:
+        """Keep where these vehicles are, for the map."""
+        for each in vehicles:
+            if each["place_deg"]:
+                self._heard[each["system_id"]] = each["place_deg"]
+
     def background(self) -> Background | None:
         """What the picture named in the draft has of its field; None where none is named. Raises `ConfigError`."""
         field = plain_field(self.text)
         name = field.get("background")
         if not name:
             return None
-        numbers = [
-            field.get(key) for key in ("origin_lat_deg", "origin_lon_deg", "size_east_m", "size_north_m")
-        ]
-        lat_deg, lon_deg, east_m, north_m = (
-            float(each) if isinstance(each, int | float) else math.nan for each in numbers
-        )
-        if not (
-            abs(lat_deg) <= MOST_LAT_DEG
-            and abs(lon_deg) <= 180.0
-            and 0 < east_m < LARGEST_M
-            and 0 < north_m < LARGEST_M
-        ):
+        frame, east_m, north_m = self._frame(), _number(field, "size_east_m"), _number(field, "size_north_m")
+        if not (frame and 0 < east_m < LARGEST_M and 0 < north_m < LARGEST_M):
             raise ConfigError(
                 "field.background: where the field is must be known first: its corner and its size"
             )
         return background_of(
-            Ground(FieldFrame(lat_deg, lon_deg), east_m, north_m),
+            Ground(frame, east_m, north_m),
             self.path.parent / str(name),
             str(field.get("background_crs") or ""),
         )
@@ -98,6 +96,21 @@ class Desk:
         write_whole(self.path, self.text)
         self._stored = self.text
 
+    def _frame(self) -> FieldFrame | None:
+        """The draft's local frame; None where its corner is not known."""
+        field = plain_field(self.text)
+        lat_deg, lon_deg = _number(field, "origin_lat_deg"), _number(field, "origin_lon_deg")
+        known = abs(lat_deg) <= MOST_LAT_DEG and abs(lon_deg) <= 180.0
+        return FieldFrame(lat_deg, lon_deg) if known else None
+
+    def _standing(self) -> list[Standing]:
+        frame = self._frame()
+        return [
+            {"name": f"system {system_id}", "place": frame.to_local(*place_deg)[:2]}
+            for system_id, place_deg in self._heard.items()
+            if frame is not None
+        ]
+
     def _on_disk(self) -> str | None:
         try:
             return self.path.read_text(encoding="utf-8").removeprefix("\ufeff")
@@ -111,6 +124,12 @@ class Desk:
             return sorted(each for each in self.path.parent.iterdir() if each.is_file())[:MOST_FILES]
         except OSError:
             return []
+
+
+def _number(field: Mapping[str, Any], key: str) -> float:
+    """The value of a key of [field]; nan where it is no number."""
+    value = field.get(key)
+    return float(value) if isinstance(value, int | float) else math.nan
 
 
 def _is_antenna(path: Path) -> bool:

@@ -104,6 +104,13 @@ class Choices(TypedDict):
     pictures: list[str]
 
 
+class Standing(TypedDict):
+    """A vehicle that was heard, where it stands in the draft's field."""
+
+    name: str
+    place: Place
+
+
 class Draft(TypedDict):
     """The answer of /plan/state, /plan/change and /plan/store."""
 
@@ -113,6 +120,8 @@ class Draft(TypedDict):
     remarks: list[RemarkShown]
     stored: bool
     new: bool
+    standing: list[Standing]
+    """As last heard; empty where the field's corner is not known."""
     choices: NotRequired[Choices]
     """With /plan/state only."""
 

@@ -15,6 +15,7 @@ from mission.lab.synthetic import emulated_pair, small_mission
 from mission.plan.serve import plan
 
 STORED = "() => document.getElementById('stored').textContent === 'stored'"
+STANDING = "() => window.fieldkitPlan.state.standing.some(({ place }) => Math.hypot(...place) < 0.5)"
 MENDED = "() => document.getElementById('verdict').className !== 'red'"
 
 
@@ -65,6 +66,7 @@ def test_a_newcomer_gets_from_nothing_to_a_mission_that_may_start(browser: Any, 
         tab.locator("#around .thing >> nth=1").locator("button").click()
         assert tab.locator("#around button:disabled").all_inner_texts() == ["done", "done"]
         tab.locator("#around .thing", has_text="begin the field where system").locator("button").click()
+        tab.wait_for_function(STANDING)
         for name in ("r1", "r2"):  # serial ports of emulated radios are no USB devices: they are typed
             fill(tab, f"robot {name}: receiver.port", field.receiver_ports[name])
             settled(tab, field.receiver_ports[name])

@@ -282,7 +282,7 @@ async def test_opening_can_be_cancelled(plug):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({}, "'port' is missing"),
+        ({}, "'port' is missing: write which one, as in port = "),
         ({"port": "x", "speed": 1}, "unknown option 'speed'"),
         ({"port": 3}, "'port': expected a text, got 3"),
         ({"port": "x", "baud": "fast"}, "'baud': expected an integer"),

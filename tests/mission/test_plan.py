@@ -116,6 +116,24 @@ def test_it_is_written_when_asked_and_only_over_what_was_read(tmp_path: Path) ->
     assert path.read_text().endswith("# by hand\n")
 
 
+def test_vehicles_that_were_heard_stand_in_the_drafts_own_field(tmp_path: Path) -> None:
+    desk = Desk(tmp_path / "mission.toml")
+    heard: Any = [
+        {"system_id": 3, "place_deg": [51.001, 7.0]},
+        {"system_id": 4, "place_deg": None},
+    ]
+    desk.hear(heard)
+    form = desk.state()["form"]
+    form["field"] |= {"origin_lat_deg": 51.0, "origin_lon_deg": 7.0}
+    desk.change(form)
+    (standing,) = desk.state()["standing"]
+    # 0.001 degrees of latitude at 51 degrees north are 111.248 m on WGS-84.
+    assert standing["name"] == "system 3" and standing["place"] == pytest.approx((0.0, 111.248), abs=0.002)
+    form["field"]["origin_lat_deg"] = 1000.0
+    desk.change(form)
+    assert desk.state()["standing"] == []
+
+
 def test_a_file_that_is_no_toml_is_refused_and_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "mission.toml"
     path.write_text("[field\n")

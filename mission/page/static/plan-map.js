@@ -4,7 +4,8 @@ import { $, fitCanvas, FONT, penOf } from "./dom.js";
 import { drawPicture, frameView, rounded, showWhole, toMetres, X, Y, zoomBy } from "./mapview.js";
 import { setUpGestures } from "./gestures.js";
 /** @import { Corners, Pixel, Place } from "./mapview.js" */
-/** @typedef {{ east_m: number | null, north_m: number | null, fence: Place[] | null, keep_out: Place[][] }} Shape */
+/** @import { Standing } from "./protocol" */
+/** @typedef {{ east_m: number | null, north_m: number | null, fence: Place[] | null, keep_out: Place[][], standing: Standing[] }} Shape */
 /** @typedef {{ image: ImageBitmap, corners_m: Corners }} Drawn a picture that has come */
 /** @typedef {"fence" | "keep_out"} Kind of what is drawn */
 
@@ -16,7 +17,7 @@ export const drawing = { kind: "", corners: [] };
 /** @type {Place | null} */
 let pointer = null;
 /** @type {Shape} */
-let shape = { east_m: 25, north_m: 25, fence: null, keep_out: [] };
+let shape = { east_m: 25, north_m: 25, fence: null, keep_out: [], standing: [] };
 /** @type {Drawn[]} */
 let ground = []; // pictures under it
 let onMoved = () => {};
@@ -45,6 +46,18 @@ function write(text, x, y) {
   pen.fillText(text, x, y);
 }
 
+/** Vehicles that were heard. */
+function drawStanding() {
+  pen.textAlign = "left"; pen.textBaseline = "middle"; pen.font = `12px ${FONT}`;
+  for (const { name, place: [east, north] } of shape.standing) {
+    const [x, y] = [X(east), Y(north)];
+    pen.beginPath(); pen.moveTo(x, y - 7); pen.lineTo(x + 7, y); pen.lineTo(x, y + 7); pen.lineTo(x - 7, y); pen.closePath();
+    pen.fillStyle = ink("text"); pen.fill();
+    pen.strokeStyle = ink("panel"); pen.lineWidth = 2; pen.stroke();
+    write(name, x + 11, y);
+  }
+}
+
 export function draw() {
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   const { east_m, north_m } = shape;
@@ -66,6 +79,7 @@ export function draw() {
   write(`${north_m} m`, X(0) - 8, Y(north_m / 2));
   if (shape.fence) polygon(shape.fence, ink("accent"));
   for (const area of shape.keep_out) polygon(area, ink("bad"));
+  drawStanding();
   if (drawing.kind) {
     const points = pointer ? [...drawing.corners, pointer] : drawing.corners;
     polygon(points, ink(drawing.kind === "fence" ? "accent" : "bad"));

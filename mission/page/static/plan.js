@@ -77,7 +77,7 @@ function fill() {
   }
   $("no-antenna").hidden = now.choices.antennas.length > 0;
   if (!typing) fillRobots($("robots"), form.robots, robotsChanged);
-  showShape({ east_m: form.field.size_east_m, north_m: form.field.size_north_m, fence: form.field.fence, keep_out: form.field.keep_out ?? [] });
+  showShape({ east_m: form.field.size_east_m, north_m: form.field.size_north_m, fence: form.field.fence, keep_out: form.field.keep_out ?? [], standing: now.standing });
   fillGround();
   $("path").textContent = now.path.split(/[\\/]/).at(-1) ?? "";
   $("path").title = now.path;
@@ -230,6 +230,7 @@ async function showHeard() {
     change();
   }));
   $("around").replaceChildren(...(rows.length ? rows : [`No vehicle is heard on ${address}.`]));
+  change(); // the map shows where they stand
 }
 
 async function runPreflight() {

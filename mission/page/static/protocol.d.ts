@@ -46,6 +46,8 @@ export interface Draft {
   remarks: RemarkShown[];
   stored: boolean;
   new: boolean;
+  /** As last heard; empty where the field's corner is not known. */
+  standing: Standing[];
   /** With /plan/state only. */
   choices?: Choices;
 }
@@ -453,6 +455,12 @@ export interface Source {
 export interface SourcesForm {
   rate_hz: number | null;
   expected: number | null;
+}
+
+/** A vehicle that was heard, where it stands in the draft's field. */
+export interface Standing {
+  name: string;
+  place: [number, number];
 }
 
 /** Orders for one robot, or for all where `robot` is None. */
