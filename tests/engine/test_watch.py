@@ -1,10 +1,14 @@
 """Receivers against each other: a shifted one is corrected, an insensitive one's silence left out; both are named."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fieldkit.channel.model import Antenna
+from fieldkit.channel.spread import assumed
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
+from fieldkit.engine.belief.intensity.watch import Measured, mean_of
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, Listening
@@ -42,6 +46,40 @@ def test_a_shifted_receiver_is_named_and_its_offset_learnt(offset_db: float) -> 
     assert said[0].startswith("b: reports ") and not any(text.startswith(("a", "c")) for text in said)
     assert belief.mixture.watch.of["b"].offset_db == pytest.approx(offset_db, abs=2.0)
     assert belief.mixture.ears.receivers["b"].offset_db == belief.mixture.watch.of["b"].offset_db
+
+
+def standing(seed: int, *, place_db: float = 5.0, packets: int = 80):
+    """Receivers that stand still in a field with shadowing: what each place adds is in all its readings."""
+    belief, rng, said = IntensityBelief(FIELD), np.random.default_rng(seed), []
+    place = rng.uniform(4.0, 16.0, (3, 2))
+    shadow_db = rng.normal(0.0, place_db, 3)
+    for k in range(packets):
+        z = RADIO.mean_rss_dbm(np.hypot(*(place - SOURCE).T)) + shadow_db + rng.normal(0.0, 1.0, 3)
+        belief.listen(Listening(20 * k * S, 20 * (k + 1) * S, ROBOTS, place))
+        belief.detect(Detection(20 * k * S, ROBOTS, place, np.zeros(3), np.round(z), np.zeros(3, bool)))
+        said += belief.said()
+    return belief, said
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_place_is_not_taken_for_the_receivers_that_stand_there(seed: int) -> None:
+    belief, said = standing(seed)
+    assert not any("are taken off its readings" in text for text in said)
+    assert all(its.offset_db == 0.0 for its in belief.mixture.watch.of.values())
+
+
+def test_the_means_variance_is_that_of_readings_drawn_from_the_model() -> None:
+    """Against plain simulation: a receiver that met two sources from three places, two of them near each other."""
+    spread = replace(assumed(RADIO), sigma_time_db=2.0, sigma_place_db=4.0, correlation_m=3.0)
+    rng = np.random.default_rng(4)
+    at = np.array([[0.0, 0.0], [1.0, 1.0], [9.0, 0.0]])[[0, 0, 0, 1, 1, 2, 2, 2, 0, 1]]
+    source = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1])
+    apart = np.hypot(*(at[:, None] - at).T)
+    cov = 16.0 * np.exp(-apart / 3.0) * (source[:, None] == source) + 4.0 * np.eye(10)
+    drawn = rng.multivariate_normal(np.zeros(10), cov, 40_000).mean(axis=1)
+    measured = [Measured(1.0, 0.0, *place, who) for place, who in zip(at, source, strict=True)]
+    mean = mean_of(measured, spread)
+    assert mean.mean_db == 1.0 and mean.variance_db2 == pytest.approx(drawn.var(), rel=0.03)
 
 
 def test_an_insensitive_receiver_is_named_and_its_silence_left_out() -> None:

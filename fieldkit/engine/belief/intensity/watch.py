@@ -4,6 +4,10 @@ All receivers are measured by the same candidates. What one reports more than th
 report more, is its own offset; packets it should hear and does not make it insensitive. A receiver is named when
 that can hardly be chance; from then on its readings are corrected, or its silence is left out. What all report more
 than the power levels allow is the sources' or the antenna file's, and is said once.
+
+A receiver that stands still measures the place and not itself: shadowing there, and an error of the candidate's
+position, are in all its readings alike. What is off counts as often as it was met at another place, or of another
+source.
 """
 
 from collections.abc import Sequence
@@ -15,6 +19,7 @@ from scipy.special import ndtr
 from scipy.stats import binom
 
 from fieldkit.channel.antenna_file import Receiver
+from fieldkit.channel.spread import ChannelSpread, assumed
 from fieldkit.engine.belief.intensity.candidate import Candidate
 from fieldkit.engine.likelihood.ears_loops import THRESHOLD
 from fieldkit.messages import Detection, part_of
@@ -26,6 +31,8 @@ LAST = 40
 """So many of a receiver's last packets are looked at."""
 LEAST = 8
 """Fewer say nothing."""
+LEAST_PLACES = 3.0
+"""At fewer places, or of fewer sources, what is off is as likely the ground's: how rough that is, is but assumed."""
 LEAST_OFFSET_DB, OFFSET_SIGMAS = 3.0, 3.5
 REFINED_DB, REFINED_SIGMAS = 1.0, 2.0
 """What was learnt of a receiver once named is mended by no less than this."""
@@ -39,12 +46,25 @@ WATCHED_FROM = 5.0
 """Receptions from which on a candidate is known well enough to measure receivers by."""
 
 
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One packet that a receiver was to hear and heard."""
+
+    residual_db: float
+    """What it reported more than was to be expected."""
+    expected_sd_db: float
+    """How well that was known, with the source's position and power as uncertain as they are."""
+    east_m: float
+    north_m: float
+    source: int
+    """The candidate that sent it."""
+
+
 @dataclass
 class Heard:
     """Of one receiver."""
 
-    residual_db: list[float] = field(default_factory=list)
-    """Of the packets that were to be heard and were."""
+    measured: list[Measured] = field(default_factory=list)
     heard: list[bool] = field(default_factory=list)
     """Whether each of those was."""
     should: list[float] = field(default_factory=list)
@@ -66,25 +86,36 @@ class Watch:
         fixed = sender.posterior()[: mixture.model.level_dbm.size]
         ears = mixture.ears.of_detection(detection)
         loss = mixture.ears.attenuation_db(sender.points_m, ears)
-        mean = mixture.model.level_dbm @ fixed.sum(axis=1) - fixed.sum(axis=0) @ loss
-        mean = mean / fixed.sum()
+        power, place = fixed.sum(axis=1) / fixed.sum(), fixed.sum(axis=0) / fixed.sum()
+        level = mixture.model.level_dbm @ power
+        mean = level - place @ loss
+        variance = power @ (mixture.model.level_dbm - level) ** 2 + place @ (loss - place @ loss) ** 2
         margin = (mean - ears[:, THRESHOLD] - 0.5) / mixture.settings.antenna.sigma_db
         should = (1.0 - mixture.model.tuning.packet_loss) * ndtr(margin)
-        for robot, rss, expected, p in zip(detection.robots, detection.rss_dbm, mean, should, strict=True):
+        for robot, rss, expected, sd, p, at in zip(
+            detection.robots,
+            detection.rss_dbm,
+            mean,
+            np.sqrt(variance),
+            should,
+            detection.position_m,
+            strict=True,
+        ):
             if p < SURE:
                 continue
             its = self.of.setdefault(robot, Heard())
             its.heard = [*its.heard, not np.isnan(rss)][-LAST:]
             its.should = [*its.should, float(p)][-LAST:]
             if not np.isnan(rss):
-                its.residual_db = [*its.residual_db, float(rss - expected)][-LAST:]
+                new = Measured(float(rss - expected), float(sd), float(at[0]), float(at[1]), sender.ident)
+                its.measured = [*its.measured, new][-LAST:]
 
-    def judge(self, sigma_db: float) -> list[str]:
+    def judge(self, spread: ChannelSpread) -> list[str]:
         """What is new to say of receivers; offsets and insensitivity are brought up to date."""
         said = []
         for robot, its in self.of.items():
             said += self._judge_sensitivity(robot, its)
-            said += self._judge_offset(robot, its, sigma_db)
+            said += self._judge_offset(robot, its, spread)
         return said
 
     def _judge_sensitivity(self, robot: str, its: Heard) -> list[str]:
@@ -103,24 +134,20 @@ class Watch:
             return [f"{robot}: hears again ({heard} of {count} packets); its silence counts"]
         return []
 
-    def _judge_offset(self, robot: str, its: Heard, sigma_db: float) -> list[str]:
-        others = [
-            float(np.mean(other.residual_db))
-            for name, other in self.of.items()
-            if name != robot and len(other.residual_db) >= LEAST
-        ]
-        count = len(its.residual_db)
-        if count < LEAST or not others:
+    def _judge_offset(self, robot: str, its: Heard, spread: ChannelSpread) -> list[str]:
+        others = [mean_of(other.measured, spread) for name, other in self.of.items() if name != robot]
+        others = [each for each in others if each.is_enough]
+        its_mean, count = mean_of(its.measured, spread), len(its.measured)
+        if not its_mean.is_enough or not others:
             return []
-        more_db = float(np.mean(its.residual_db)) - float(np.median(others))
-        # Readings of a place hang together: half of them count.
-        error_db = sigma_db * np.sqrt(2.0 / count + 2.0 / (count * len(others)))
+        more_db = its_mean.mean_db - float(np.median([each.mean_db for each in others]))
+        error_db = np.sqrt(its_mean.variance_db2 + sum(o.variance_db2 for o in others) / len(others) ** 2)
         named = its.offset_db != 0.0
         least_db, sigmas = (REFINED_DB, REFINED_SIGMAS) if named else (LEAST_OFFSET_DB, OFFSET_SIGMAS)
         if abs(more_db) < max(least_db, sigmas * error_db):
             return []
         its.offset_db += more_db
-        its.residual_db.clear()
+        its.measured.clear()
         if named and abs(more_db) < LEAST_OFFSET_DB:
             return []
         return [
@@ -149,6 +176,40 @@ class Watch:
         ]
 
 
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """Of what one receiver reported more than was to be expected."""
+
+    mean_db: float
+    variance_db2: float
+    places: float
+    """At so many places, or of so many sources, as if these had nothing in common."""
+    count: int
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether it says anything about the receiver."""
+        return self.count >= LEAST and self.places >= LEAST_PLACES
+
+
+def mean_of(measured: Sequence[Measured], spread: ChannelSpread) -> Mean:
+    """The mean of what was measured at these places, of these sources.
+
+    Of the same source, what the place adds is alike with correlation exp(-distance / correlation_m), and an error of
+    the source's position or power likewise; noise in time is of each alone.
+    """
+    if not measured:
+        return Mean(0.0, np.inf, 0.0, 0)
+    residual_db, sd, east, north, source = np.array(
+        [(m.residual_db, m.expected_sd_db, m.east_m, m.north_m, m.source) for m in measured]
+    ).T
+    apart_m = np.hypot(east[:, None] - east, north[:, None] - north)
+    alike = np.exp(-apart_m / max(spread.correlation_m, 1e-6)) * (source[:, None] == source)
+    shared = (alike * (spread.sigma_place_db**2 + np.outer(sd, sd))).mean()
+    variance = float(shared + spread.sigma_time_db**2 / len(measured))
+    return Mean(float(residual_db.mean()), variance, float(1.0 / alike.mean()), len(measured))
+
+
 def without_insensitive(mixture: "Mixture", detection: Detection) -> Detection:
     """The detection without robots whose silence says nothing."""
     keep = ~np.isnan(detection.rss_dbm) | np.array([not mixture.is_insensitive(r) for r in detection.robots])
@@ -162,8 +223,9 @@ def watch_receivers(mixture: "Mixture", detections: Sequence[Detection]) -> None
             known = candidate.receptions >= WATCHED_FROM and mixture.summary(candidate).p_here >= 0.5
             if known and candidate.responsibility.get(number, 0.0) >= 0.9:
                 mixture.watch.take_in(mixture, mixture.ears.corrected(detection), candidate)
+    spread = mixture.settings.spread or assumed(mixture.settings.antenna)
     before = {robot: its.offset_db for robot, its in mixture.watch.of.items()}
-    mixture.said += [*mixture.watch.judge(mixture.settings.antenna.sigma_db), *mixture.watch.common(mixture)]
+    mixture.said += [*mixture.watch.judge(spread), *mixture.watch.common(mixture)]
     learnt = {robot: its.offset_db for robot, its in mixture.watch.of.items() if its.offset_db != 0.0}
     if learnt and learnt != {robot: offset for robot, offset in before.items() if offset != 0.0}:
         _correct(mixture, learnt)
