@@ -14,7 +14,12 @@ def collect(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="The CSV to fill; an unfinished one is gone on with.")
     ],
-    receiver: Annotated[str, typer.Option(help="Receiver driver, as in mission.toml.")] = "xbee",
+    receiver: Annotated[
+        str,
+        typer.Option(
+            help="Receiver driver, as in mission.toml; or a file that describes one, as radio.toml."
+        ),
+    ] = "xbee",
     setting: Annotated[
         list[str] | None,
         typer.Option("--set", help="Option of the driver, as port=/dev/ttyUSB0; repeatable."),
@@ -67,6 +72,7 @@ def collect(
     from fieldkit.clock import RealClock
     from fieldkit.geo import FieldFrame
     from fieldkit.ports import DriverContext
+    from fieldkit.receiver_file import read_receiver
     from fieldkit.recording import RecordingWriter
 
     if not period_s > 0.0:
@@ -81,7 +87,9 @@ def collect(
     elif positions:
         source = by_position_source(positions, address, name, settings(vehicle_setting), around)
         where = PositionFeed(name, source, transmitter)
-    opened = plugins.load("fieldkit.receivers", receiver)(name, settings(setting), around)
+    table = read_receiver(Path(receiver)) if receiver.endswith(".toml") else {"driver": receiver}
+    options = {key: value for key, value in table.items() if key != "driver"} | settings(setting)
+    opened = plugins.load("fieldkit.receivers", table["driver"])(name, options, around)
     log = collect_log.free_path(out.with_suffix(".mcap")) if record is None else record
     said = collect_log.metadata(beacon, period_s, packets)
     with RecordingWriter(log, start_ns=clock.now_ns(), metadata=said) as writer:

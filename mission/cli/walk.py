@@ -183,21 +183,8 @@ def _receiver(words: str) -> dict[str, Any]:
     if words.startswith("xbee:"):
         return {"driver": "xbee", "port": words.removeprefix("xbee:")}
     if words.endswith(".toml"):
-        return _receiver_of(Path(words))
+        from fieldkit.receiver_file import read_receiver
+
+        return read_receiver(Path(words))
     port, _, line_map = words.partition(",")
     return {"driver": "lines", "port": port, "map": line_map or "json"}
-
-
-def _receiver_of(path: Path) -> dict[str, Any]:
-    """What a file says of a receiver, by the keys of a mission file's `receiver`. Raises `ConfigError`."""
-    import tomllib
-
-    from fieldkit.errors import ConfigError
-
-    try:
-        said = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"--receiver {path}: cannot be read: {error}") from error
-    if "port" not in said:
-        raise ConfigError(f"--receiver {path}: expected at least 'port' and a map, see docs/lines.md")
-    return {"driver": "lines", **said}

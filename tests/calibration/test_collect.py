@@ -337,3 +337,22 @@ def test_options_that_cannot_be_are_refused_before_anything_is_opened(tmp_path, 
     result = CliRunner().invoke(app, ["collect", "-o", str(out), "--set", "port=/dev/null", *options])
     assert isinstance(result.exception, ConfigError) and says in str(result.exception)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_receiver_that_a_file_describes_is_collected_with(tmp_path, monkeypatch):
+    from fieldkit import plugins
+
+    given = {}
+
+    def opened(name, options, around):
+        given.update(options)
+        raise ConfigError("far enough")
+
+    monkeypatch.setattr(plugins, "load", lambda group, name: opened if name == "lines" else None)
+    (tmp_path / "radio.toml").write_text('port = "/dev/x"\nformat = "regex"\npattern = \'S=(?P<rss>.+)\'\n')
+    arguments = ["collect", "-o", str(tmp_path / "r.csv"), "--receiver", str(tmp_path / "radio.toml")]
+    result = CliRunner().invoke(app, [*arguments, "--set", "port=/dev/y"])
+    assert "far enough" in str(result.exception)
+    assert given == {"port": "/dev/y", "format": "regex", "pattern": "S=(?P<rss>.+)"}
+    result = CliRunner().invoke(app, ["collect", "-o", str(tmp_path / "r.csv"), "--receiver", "no.toml"])
+    assert "--receiver no.toml: cannot be read" in str(result.exception)
