@@ -6,9 +6,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from typing import Any
 
-from drivers.lines.patterns import endless
+import regex
+
 from fieldkit.errors import ConfigError
 
 FORMATS = ("json", "regex", "csv")
@@ -18,6 +20,8 @@ STRONGEST_DBM = 0.0
 """No receiver reads more: a larger number has another sign or another unit. A mission leaves out what is outside."""
 WEAKEST_DBM = -150.0
 NUMBER = re.compile(r"[+-]?\d+(?:[.,]\d+)?")
+MATCHED_WITHIN_S = 0.05
+"""Some expressions think for ever on some lines (the library `regex` gives up where `re` cannot)."""
 FALSE_WORDS = frozenset(("", "0", "false", "no", "none", "null"))
 
 
@@ -84,15 +88,9 @@ class LineMap:
         ]
         if self.format == "regex":
             try:
-                groups = list(re.compile(self.pattern).groupindex)
-                thinks_for_ever = endless(self.pattern)
-            except (re.error, RecursionError) as error:
+                groups = list(_compiled(self.pattern).groupindex)
+            except (regex.error, RecursionError) as error:
                 raise ConfigError(f"{where}: option 'pattern': not a regular expression: {error}") from error
-            if thinks_for_ever:
-                raise ConfigError(
-                    f"{where}: option 'pattern': a repeat within a repeat, as in (\\w+)*, takes for ever on some "
-                    "lines, and stops everything meanwhile: repeat once"
-                )
             self._all_known(keys, groups, f"{where}: option 'pattern' has the named groups", "(?P<rss>...)")
         if self.format == "csv":
             names = [name.rstrip("*") for name in self.columns]
@@ -132,7 +130,12 @@ class LineMap:
                 raise NoReadingError("is JSON, but not an object {...}")
             return values
         if self.format == "regex":
-            found = re.search(self.pattern, line)
+            try:
+                found = _compiled(self.pattern).search(line, timeout=MATCHED_WITHIN_S, concurrent=True)
+            except TimeoutError as error:
+                raise NoReadingError(
+                    f"takes the pattern over {MATCHED_WITHIN_S:g} s: has it a repeat within a repeat, as (\\w+)*?"
+                ) from error
             if found is None:
                 raise NoReadingError("does not match the pattern")
             return found.groupdict()
@@ -168,6 +171,11 @@ class LineMap:
             return _iso_s(str(value))
         number = _number(value)
         return None if number is None else number * {"s": 1.0, "ms": 1e-3, "us": 1e-6}[self.time_unit]
+
+
+@lru_cache(maxsize=64)
+def _compiled(pattern: str) -> "regex.Pattern[str]":
+    return regex.compile(pattern)
 
 
 def _at(values: Any, key: str) -> Any:

@@ -14,7 +14,7 @@ from drivers.lines.mapping import Heard, LineMap, NoReadingError
 from drivers.lines.maps import MAPS
 from drivers.lines.sources import open_source
 from drivers.links import ByteLink, absent, arrival_ns
-from drivers.options import checked
+from drivers.options import REMEDY, checked
 from drivers.threaded import ThreadedReceiver
 from drivers.timebase import DeviceStamps
 from fieldkit import settings as given
@@ -37,7 +37,12 @@ SHOWN = 80
 class LinesOptions:
     """What a mission file says of a radio that prints."""
 
-    port: str
+    port: str = field(
+        metadata={
+            REMEDY: 'write whence its lines come, as in port = "/dev/ttyUSB0", "udp://0.0.0.0:5005", '
+            '"mqtt://host/topic" or the path of a file; "fieldkit devices" lists what is plugged in'
+        }
+    )
     map: str = ""
     """A ready-made map; the keys below change it, or make one where none is named."""
     format: str | None = None

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from drivers.links import READ_TIMEOUT_S, ByteLink, TappedLink, host_and_port, open_link
+from drivers.links import READ_TIMEOUT_S, ByteLink, TappedLink, absent, host_and_port, open_link
 from fieldkit.errors import DeviceError
 
 POLL_S = 0.05
@@ -67,7 +67,37 @@ def _open(port: str, baud: int, device: str, from_start: bool) -> ByteLink:
     path = Path(port.removeprefix("file:"))
     if "://" not in port and path.exists() and not stat.S_ISCHR(path.stat().st_mode):
         return PipeLink(path) if stat.S_ISFIFO(path.stat().st_mode) else FileLink(path, from_start)
-    return open_link(port, baud, device)
+    return JoinedLink(open_link(port, baud, device))
+
+
+class JoinedLink:
+    """A device that was printing before anybody listened: a first line that has lost its beginning is left out.
+
+    "-107" without its first two characters is a far too strong 07. Where nothing comes while it is opened, the device
+    is between two lines, and the next one is whole.
+    """
+
+    def __init__(self, link: ByteLink) -> None:
+        """Waits a moment for what it prints. Raises `OSError`."""
+        self._link = link
+        self.write, self.close = link.write, link.close
+        self._held = link.read()
+        self._is_cut = bool(self._held)
+        self.arrived_s = link.arrived_s
+
+    @property
+    def absent(self) -> str:
+        """As the link itself says it."""
+        return absent(self._link)
+
+    def read(self) -> bytes:
+        data, self._held = self._held or self._link.read(), b""
+        self.arrived_s = self._link.arrived_s
+        if not self._is_cut:
+            return data
+        ends = [at for at in (data.find(b"\n"), data.find(b"\r")) if at >= 0]
+        self._is_cut = not ends
+        return data[min(ends) :] if ends else b""
 
 
 class _Listening:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from itertools import count
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from lines_bench import receiving
@@ -18,7 +19,8 @@ from drivers.emulators.printer import PrintingRadio
 from drivers.emulators.wires import PluggedModule, PtyWire
 from drivers.lines.mapping import LineMap
 from drivers.lines.maps import MAPS
-from drivers.lines.receiver import SENSELESS
+from drivers.lines.receiver import SENSELESS, LineSplitter
+from drivers.lines.sources import JoinedLink
 from fieldkit.clock import RealClock
 from fieldkit.errors import DeviceError
 
@@ -87,6 +89,23 @@ async def test_half_a_line_and_half_another_are_no_reading(tmp_path: Path) -> No
         log.write_bytes(b"RSSI -83\n")
         await seen.until(lambda s: len(s.readings) == 3)
     assert [reading.rss_dbm for reading in seen.readings] == [-80.0, -82.0, -83.0]
+
+
+@pytest.mark.parametrize(
+    ("pieces", "lines"),
+    [
+        ([b"07\nRSSI -80\n", b"RSSI -81\n"], ["RSSI -80", "RSSI -81"]),  # of "RSSI -107"
+        ([b"", b"RSSI -82\n"], ["RSSI -82"]),  # it was quiet when it was opened: the first line is whole
+        ([b"0", b"", b"7", b"\r\nRSSI -83\r\n"], ["RSSI -83"]),
+    ],
+)
+def test_a_device_in_the_middle_of_a_line_loses_that_line_alone(
+    pieces: list[bytes], lines: list[str]
+) -> None:
+    given, split = iter(pieces), LineSplitter()
+    device = Mock(arrived_s=0.0, read=lambda: next(given, b""))
+    link = JoinedLink(device)
+    assert [line for _ in pieces for line in split.feed(link.read())] == lines
 
 
 async def test_a_named_pipe_outlives_its_writers(tmp_path: Path) -> None:
