@@ -24,6 +24,7 @@ MAX_PEERS = 64
 """Addresses remembered per link; forged ones must not fill the memory."""
 RECONNECT_EVERY_S = 1.0
 """Wall time between attempts to take a lost TCP or serial link back."""
+CONNECT_S = 5.0
 SEND_BUFFER = 65536
 """Bytes waiting to be sent beyond which a frame is dropped: late commands are worse than lost ones."""
 
@@ -176,9 +177,8 @@ class Tcp:
 
     async def open(self, on_data: OnData) -> None:
         try:
-            reader, self._writer = await asyncio.wait_for(
-                asyncio.open_connection(self._host, self._port), 5.0
-            )
+            async with asyncio.timeout(CONNECT_S):
+                reader, self._writer = await asyncio.open_connection(self._host, self._port)
         except (OSError, TimeoutError) as error:
             raise DeviceError(
                 f"vehicle link tcp {self._host}:{self._port}: {error or 'no answer'}; "
@@ -196,8 +196,8 @@ class Tcp:
             while self._writer is None:
                 await asyncio.sleep(RECONNECT_EVERY_S)
                 with contextlib.suppress(OSError, TimeoutError):
-                    connecting = asyncio.open_connection(self._host, self._port)
-                    reader, self._writer = await asyncio.wait_for(connecting, 5.0)
+                    async with asyncio.timeout(CONNECT_S):
+                        reader, self._writer = await asyncio.open_connection(self._host, self._port)
 
     def send(self, data: bytes, peer: Peer) -> None:
         if self._writer is None or self._writer.transport.get_write_buffer_size() > SEND_BUFFER:

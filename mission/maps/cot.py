@@ -132,7 +132,8 @@ class CotSender:
             over = self._ending.is_set()
             present = self.latest.present()
             for marker in markers(present, self._every_s) if present.t_ns else ():
-                await asyncio.wait_for(write(cot.event(marker)), SEND_TIMEOUT_S)
+                async with asyncio.timeout(SEND_TIMEOUT_S):
+                    await write(cot.event(marker))
                 self.sent[address] += 1
             if over:
                 return
@@ -141,7 +142,8 @@ class CotSender:
     async def _pause(self, seconds: float) -> bool:
         """Whether the mission is over meanwhile."""
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._ending.wait(), seconds)
+            async with asyncio.timeout(seconds):
+                await self._ending.wait()
         return self._ending.is_set()
 
 
@@ -151,7 +153,8 @@ async def _opened(address: str) -> Any:
     scheme, _, rest = address.partition("://")
     # Write only: of UDP nothing is bound, so that a TAK program on this machine keeps its port.
     config = {"COT_URL": f"{scheme}+wo://{rest}" if scheme == "udp" else address}
-    reader, writer = await asyncio.wait_for(cot.load_pytak().protocol_factory(config), SEND_TIMEOUT_S)
+    async with asyncio.timeout(SEND_TIMEOUT_S):
+        reader, writer = await cot.load_pytak().protocol_factory(config)
     draining = asyncio.create_task(_drain(reader)) if reader is not None else None
 
     async def write(data: bytes) -> None:
@@ -172,7 +175,8 @@ async def _opened(address: str) -> Any:
         writer.close()
         if hasattr(writer, "wait_closed"):
             with contextlib.suppress(OSError, TimeoutError):
-                await asyncio.wait_for(writer.wait_closed(), SEND_TIMEOUT_S)
+                async with asyncio.timeout(SEND_TIMEOUT_S):
+                    await writer.wait_closed()
 
 
 async def _drain(reader: asyncio.StreamReader) -> None:

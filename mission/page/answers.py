@@ -151,7 +151,8 @@ class Answers:
                     last_ns, silent_s = now.t_ns, 0.0
                     yield _text(now) + "\n"
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._ending.wait(), EVERY_S)
+                    async with asyncio.timeout(EVERY_S):
+                        await self._ending.wait()
                 silent_s += EVERY_S
         finally:
             self._streams -= 1

@@ -365,7 +365,9 @@ class Page:
 async def _send(websocket: WebSocket, mailbox: Mailbox) -> None:
     try:
         async for text in mailbox.items():
-            await asyncio.wait_for(websocket.send_text(text), SEND_TIMEOUT_S)
+            # Not wait_for: before Python 3.12 it loses a cancellation that comes as it ends.
+            async with asyncio.timeout(SEND_TIMEOUT_S):
+                await websocket.send_text(text)
     except (WebSocketDisconnect, RuntimeError, TimeoutError, OSError):
         with contextlib.suppress(Exception):
             await websocket.close(1008)
@@ -373,7 +375,8 @@ async def _send(websocket: WebSocket, mailbox: Mailbox) -> None:
 
 async def _close(websocket: WebSocket) -> None:
     with contextlib.suppress(Exception):  # however it goes, it goes
-        await asyncio.wait_for(websocket.close(1013, "too many look"), SEND_TIMEOUT_S)
+        async with asyncio.timeout(SEND_TIMEOUT_S):
+            await websocket.close(1013, "too many look")
 
 
 def own_address() -> str:

@@ -128,7 +128,8 @@ async def _asked(*words: str) -> Response:
         stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
     )  # fmt: skip
     try:
-        out, said = await asyncio.wait_for(process.communicate(), PATIENCE_S)
+        async with asyncio.timeout(PATIENCE_S):
+            out, said = await process.communicate()
     except TimeoutError:
         return _refused(f"fieldkit {words[0]}: no answer within {PATIENCE_S:g} s", 504)
     finally:
