@@ -5,6 +5,7 @@ import os
 import threading
 from asyncio import runners
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -26,6 +27,8 @@ KEPT_BY_LIBRARIES = (
     "IO loop",
 )
 """Beginnings of the names of threads that libraries keep in pools for their next use."""
+FLIGHTS = ("system", "browser")
+"""Folders of tests that take minutes of waiting and flying."""
 ENDING_S = 5.0
 """How long threads may take that were told to end: they poll a port or a socket."""
 
@@ -64,6 +67,27 @@ def nothing_is_left_running() -> Iterator[None]:
     alive = [repr(thread) for thread in left if thread.is_alive()]
     if alive:
         pytest.fail(f"the test leaves threads running: {', '.join(alive)}")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Spread the files that fly whole missions evenly among the others: none is left alone at the end.
+
+    Coverage is not counted in them: being traced costs a sixth of their time, and what they reach others do too.
+    """
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    flights = [path for path in files if path.parent.name in FLIGHTS]
+    others = [path for path in files if path.parent.name not in FLIGHTS]
+    for path in flights:
+        for item in files[path]:
+            item.add_marker(pytest.mark.no_cover)
+    every = len(others) // len(flights) if flights else 0
+    order: list[Path] = []
+    for number, path in enumerate(flights):
+        order += [path, *others[number * every : (number + 1) * every]]
+    order += others[len(flights) * every :]
+    items[:] = [item for path in order for item in files[path]]
 
 
 @pytest.hookimpl(wrapper=True)

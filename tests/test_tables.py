@@ -6,7 +6,7 @@ from fieldkit.console import show_table
 from mission.cli.campaigns import _of_group, _of_mission, _short
 
 GROUP = {
-    "planner": "infogain", "missions": 100, "not_all_found": 12, "median_time_s": 1044.5, "worst_time_s": 14_000.0,
+    "planner": "infogain", "missions": 100, "unfinished": 12, "median_time_s": 1044.5, "worst_time_s": 14_000.0,
     "median_error_m": 12.113, "worst_error_m": 110.25, "false_finds": 3, "mean_duration_s": 1200.0,
 }  # fmt: skip
 MISSION = {

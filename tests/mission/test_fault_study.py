@@ -26,7 +26,7 @@ def test_faults_come_from_the_seed_and_every_kind_comes_up() -> None:
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fault_kinds, "SMALL", replace(SMALL, duration_s=60.0))
+    monkeypatch.setattr(fault_kinds, "SMALL", replace(SMALL, duration_s=40.0))
 
 
 @pytest.mark.usefixtures("short")

@@ -11,6 +11,7 @@ from fieldkit.world.sources import TransientSource
 from mission.core.mission_file import read_mission
 from mission.lab.demo import fly
 from mission.shell import setups
+from mission.shell.warm_up import warm_up
 
 RATE = 8.0
 
@@ -21,6 +22,9 @@ def test_two_rovers_and_two_copters_find_what_is_hidden_on_emulated_wires(tmp_pa
     # On a busy machine a step of the kernel takes a second of the wall, eight of the mission.
     mission = read_mission(mission_file(tmp_path, kinds, 14550, 14560, overrun_s=30.0))
     sources = tuple(TransientSource(east_m, north_m, 0.0, 0.2) for east_m, north_m in HIDDEN_M)
+    warm_up(
+        mission
+    )  # as every real mission does: loading the compiled loops stops the heartbeats for seconds
     with setups.emulated(mission, sources, seed=3, rate=RATE) as setup:
         runner = fly(mission, setup, tmp_path / "mission.mcap", lambda _: None)
         up_m = setup.emulator.altitude()
