@@ -21,6 +21,7 @@ BASE: dict[str, list[str]] = {
     "report": ["run.mcap"],
     "compare": ["run.mcap"],
     "analyze": ["runs"],
+    "refit": ["run.mcap"],
     "survey": ["heard.csv", "walk.csv"],
     "log export": ["run.mcap"],
     "log merge": ["run.mcap", "run.mcap"],

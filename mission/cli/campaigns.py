@@ -125,6 +125,57 @@ def analyze(
         raise typer.Exit(2)
 
 
+def refit(
+    logs: Annotated[list[Path], typer.Argument(help="Recordings of one field, of any day and team.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write the sources with their regions as GeoJSON.")
+    ] = None,
+    antenna: Annotated[
+        Path | None,
+        typer.Option(help="The antenna file that holds for all; else the one they were made with."),
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="TABLE.KEY=VALUE", help="With this changed in every mission; repeat."),
+    ] = None,
+    as_json: _JSON = False,
+) -> None:
+    """Find the sources of a whole campaign: everything heard in many missions, on all days, by one belief.
+
+    A source that no mission heard often enough by itself may be found by all of them together. Exit code 2 where a
+    recording could not be read; the others are in.
+
+    Example: fieldkit refit runs/*/mission.mcap -o campaign.geojson
+    """
+    from fieldkit.console import progress
+    from fieldkit.files import write_whole
+    from mission.analysis import refit as campaign
+    from mission.maps.geojson import collection
+    from mission.replay.command import Changes
+    from mission.shell.terminal import sources_table
+
+    with progress("taking in") as report:
+        done = campaign.refit(logs, Changes(antenna=antenna, keys=tuple(changes or ()), what_if=True), report)
+    plain = campaign.plain(done)
+    if out is not None:
+        write_whole(out, json.dumps(collection(done.present()), indent=1))
+    if as_json:
+        typer.echo(json.dumps(plain | {"written": None if out is None else str(out)}, indent=2))
+    else:
+        typer.echo(
+            f"{plain['recordings']} recordings in {plain['sessions']} sessions, {plain['detections']} transmissions; "
+            f"metres from {plain['origin_lat_deg']:.7f}, {plain['origin_lon_deg']:.7f}"
+        )
+        sources_table(plain["sources"], plain["detections"])
+        typer.echo(f"the probability that one is left is {plain['probability_left']:.2f}")
+        if out is not None:
+            typer.echo(f"written: {out}")
+        for each in (*plain["refused"], *plain["missing"]):
+            typer.echo(f"not all taken in: {each}", err=True)
+    if plain["refused"]:
+        raise typer.Exit(2)
+
+
 def _of_group(by: str, group: dict[str, Any]) -> dict[str, Any]:
     """A group's line; times are of the missions that found all."""
     return {
