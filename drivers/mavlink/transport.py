@@ -24,7 +24,7 @@ MAX_PEERS = 64
 """Addresses remembered per link; forged ones must not fill the memory."""
 RECONNECT_EVERY_S = 1.0
 """Wall time between attempts to take a lost TCP or serial link back."""
-CONNECT_S = 5.0
+TCP_CONNECT_S = 5.0
 SEND_BUFFER = 65536
 """Bytes waiting to be sent beyond which a frame is dropped: late commands are worse than lost ones."""
 
@@ -177,7 +177,7 @@ class Tcp:
 
     async def open(self, on_data: OnData) -> None:
         try:
-            async with asyncio.timeout(CONNECT_S):
+            async with asyncio.timeout(TCP_CONNECT_S):
                 reader, self._writer = await asyncio.open_connection(self._host, self._port)
         except (OSError, TimeoutError) as error:
             raise DeviceError(
@@ -196,7 +196,7 @@ class Tcp:
             while self._writer is None:
                 await asyncio.sleep(RECONNECT_EVERY_S)
                 with contextlib.suppress(OSError, TimeoutError):
-                    async with asyncio.timeout(CONNECT_S):
+                    async with asyncio.timeout(TCP_CONNECT_S):
                         reader, self._writer = await asyncio.open_connection(self._host, self._port)
 
     def send(self, data: bytes, peer: Peer) -> None:
