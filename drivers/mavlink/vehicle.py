@@ -28,6 +28,8 @@ REBOOT_BACK_MS = 1000
 """A boot clock further back than this means a reboot; less is a datagram out of order."""
 TWO_CLOCKS = 3
 """A boot clock that goes back so often within `FORGET_S` is two vehicles' behind one address: none boots so fast."""
+LATE_BEATS = 3
+"""A vehicle beats once a second. So many beats later it no longer shows an order that a newer one has overtaken."""
 NO_POSITION = (0, 0)
 MAX_ROUND_TRIP_NS = 1_000_000_000
 """A slower answer says too little of a clock."""
@@ -88,6 +90,8 @@ class Vehicle:
         self.commanded: VehicleMode | None = None
         """The mode we asked for last."""
         self._confirmed = False
+        self._overtaken: tuple[VehicleMode, int] | None = None
+        """A mode we asked for and did not wait to see before we asked for another; heartbeats heard by then."""
         self._frames = self._lost = 0
         self._seq: int | None = None
         self._frame = frame
@@ -212,7 +216,7 @@ class Vehicle:
 
     def _check_ownership(self, now_s: float) -> None:
         is_ours = self.actual_mode == self.commanded
-        if self.owner == "us" and self._confirmed and not is_ours:
+        if self.owner == "us" and self._confirmed and not is_ours and not self._shows_the_order_before():
             mode, silent_s = self._mode_words(), self._silent_s(now_s)
             if silent_s:  # nobody may look for a stranger where this computer was too slow
                 why = f"went to {mode}: its failsafe, or someone else; no heartbeat of ours for {silent_s:.0f} s"
@@ -221,6 +225,13 @@ class Vehicle:
             self._say(now_s, f"{why}: no longer ours to steer")
             self._lose(self._why)
         self._confirmed = self._confirmed or is_ours
+
+    def _shows_the_order_before(self) -> bool:
+        """Whether it is where we sent it last but one: it shows orders a heartbeat late, the newest not yet."""
+        if self._overtaken is None:
+            return False
+        mode, heard = self._overtaken
+        return mode == self.actual_mode and self.heartbeats - heard <= LATE_BEATS
 
     def _position(self, message: Message, now_s: float, now_ns: int) -> list[Happening]:
         # A better estimate of the offset may set the clock back a little; poses stay in order.
@@ -345,6 +356,8 @@ class Vehicle:
 
     def command(self, mode: VehicleMode) -> None:
         """Note that we are asking for a mode: until it is confirmed, another one is no loss of ownership."""
+        if mode != self.commanded and self.commanded is not None and not self._confirmed:
+            self._overtaken = self.commanded, self.heartbeats
         if mode != self.commanded or self.actual_mode != mode:
             self.commanded, self._confirmed = mode, False
 

@@ -28,11 +28,17 @@ class Landing:
 
     def aloft(self) -> list[str]:
         """Robots that fly, are ours, and are not known to stand on the ground."""
+        return [name for name in self._in_the_air() if not self.safety.robots[name].somebody_elses]
+
+    def not_ours(self) -> list[str]:
+        """Robots that fly and were not released, and that somebody else, or their own failsafe, has now."""
+        return [name for name in self._in_the_air() if self.safety.robots[name].somebody_elses]
+
+    def _in_the_air(self) -> list[str]:
         return [
             name
             for name in self.safety.settings.altitude_m
             if (robot := self.safety.robots[name]).vehicle is not None
-            and not robot.somebody_elses
             and robot.ordered != "release"
             and robot.vehicle.armed
             and robot.vehicle.on_ground is not True

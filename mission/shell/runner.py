@@ -356,6 +356,8 @@ class Runner:
             return
         if aloft:
             self._say(f"STILL IN THE AIR: {', '.join(aloft)}: they hold where they are; land them by hand")
+        if others := self._landing.not_ours():
+            self._say(f"IN THE AIR, AND NOT OURS TO LAND: {', '.join(others)}: see to them by hand")
         self.end_reason = self._over_reason
 
     def _carry_out(self, command: Command) -> None:

@@ -2,6 +2,8 @@
 
 import math
 import os
+from collections.abc import Callable
+from itertools import count
 
 import numpy as np
 import pytest
@@ -110,6 +112,52 @@ def test_poses_stay_in_order_when_the_clock_estimate_improves():
     early = vehicle.heard(position(1200), PEER, 0.2, 300_000_000)
     stamps = [item.t_ns for item in (*late, *early) if isinstance(item, Pose)]
     assert stamps == sorted(stamps) and len(stamps) == 2
+
+
+GUIDED, HOLD = 15, 4  # ArduRover's custom modes
+
+
+def ours() -> tuple[Vehicle, Callable[[int], str]]:
+    """A rover in Guided that is ours; what it is after a heartbeat in a mode."""
+    vehicle, beats = Vehicle("ada", 1, FRAME), count()
+
+    def beat(mode: int) -> str:
+        now_s = float(next(beats))
+        vehicle.heard(
+            heartbeat(mode, base=1 | mavlink.MAV_MODE_FLAG_SAFETY_ARMED), ("h", 1), now_s, round(now_s * 1e9)
+        )
+        return vehicle.owner
+
+    beat(GUIDED)
+    vehicle.owner = "us"
+    vehicle.command("guided")
+    assert beat(GUIDED) == "us"
+    return vehicle, beat
+
+
+def test_a_hold_that_a_newer_order_has_overtaken_is_no_strangers() -> None:
+    """Ordered to hold and to go on at once, it shows first neither, then the hold, and at last where it is to go."""
+    vehicle, beat = ours()
+    vehicle.command("hold")
+    vehicle.command("guided")
+    assert [beat(mode) for mode in (GUIDED, HOLD, HOLD, GUIDED, GUIDED)] == ["us"] * 5
+    assert beat(HOLD) == "lost", "by now it is somebody else's"
+
+
+def test_one_that_stays_in_a_hold_that_was_overtaken_is_not_ours_for_ever() -> None:
+    vehicle, beat = ours()
+    vehicle.command("hold")
+    vehicle.command("guided")
+    assert [beat(mode) for mode in (GUIDED, HOLD, HOLD)] == ["us"] * 3
+    assert beat(HOLD) == "lost"
+
+
+def test_a_hold_that_was_seen_before_the_next_order_is_a_strangers_when_it_comes_again() -> None:
+    vehicle, beat = ours()
+    vehicle.command("hold")
+    assert beat(HOLD) == "us"
+    vehicle.command("guided")
+    assert [beat(GUIDED), beat(HOLD)] == ["us", "lost"]
 
 
 def test_a_position_before_the_first_fix_is_none():

@@ -63,3 +63,11 @@ def test_the_operator_does_not_have_to_wait(tmp_path: Path) -> None:
     landing.begin(10 * S, 10 * S, "found all")
     assert is_over(landing, 10.0) == (False, [])
     assert is_over(landing, 11.0, Operator(11 * S, "end", None, "now"))[0]
+
+
+def test_one_that_is_not_ours_any_more_is_named_and_not_waited_for(tmp_path: Path) -> None:
+    safety, landing, _ = scene(tmp_path)
+    seen(safety, 1.0, armed=True, on_ground=False)
+    landing.begin(1 * S, 1 * S, "found all")
+    safety.observe(VehicleState(2 * S, "r1", "other", True, True, None, "", on_ground=False))
+    assert is_over(landing, 2.0) == (True, []) and landing.not_ours() == ["r1"]
