@@ -163,7 +163,8 @@ def refit(
         typer.echo(json.dumps(plain | {"written": None if out is None else str(out)}, indent=2))
     else:
         typer.echo(
-            f"{plain['recordings']} recordings in {plain['sessions']} sessions, {plain['detections']} transmissions; "
+            f"{_count(plain['recordings'], 'recording')} in {_count(plain['sessions'], 'session')}, "
+            f"{_count(plain['detections'], 'transmission')}; "
             f"metres from {plain['origin_lat_deg']:.7f}, {plain['origin_lon_deg']:.7f}"
         )
         sources_table(plain["sources"], plain["detections"])
@@ -174,6 +175,10 @@ def refit(
             typer.echo(f"not all taken in: {each}", err=True)
     if plain["refused"]:
         raise typer.Exit(2)
+
+
+def _count(number: int, of: str) -> str:
+    return f"{number} {of}{'s' * (number != 1)}"
 
 
 def _of_group(by: str, group: dict[str, Any]) -> dict[str, Any]:
