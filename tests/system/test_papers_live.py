@@ -40,7 +40,7 @@ def test_a_system_of_the_papers_flies_the_live_path(name: str, tmp_path: Path) -
     )
     warm_up(mission)
     log = tmp_path / "mission.mcap"
-    with setups.emulated(mission, hidden_sources(2), seed=2, rate=10.0) as setup:
+    with setups.emulated(mission, hidden_sources(2), seed=2, rate=5.0) as setup:
         runner = fly(mission, setup, log, truth=hidden_sources(2))
     assert "time is up" in runner.end_reason
     assert runner.kernel.detections > 0
