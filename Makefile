@@ -19,7 +19,7 @@ $(VENV)/.installed: pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	touch $@
 
-# A pip of today resolves the many packages of 'dev' in a quarter of the time that those of older Pythons take.
+# The pip that older Pythons bring resolves the many packages of 'dev' slowly.
 $(VENV)/.installed-dev: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip
@@ -45,7 +45,7 @@ test: lint
 	@echo "reached by their own tests, of the lines and branches of what decides in a mission, in per cent:"
 	$(BIN)/coverage report --include='mission/core/*,mission/safety/*' --fail-under=$(CORE_FLOOR)
 
-# The same of everything, by all tests. Being traced costs up to half their time, so it is no part of 'make test'.
+# The same of everything, by all tests. Tests that step the kernel take half as long again when traced, so it is no part of 'make test'.
 coverage: $(VENV)/.installed-dev
 	FIELDKIT_COVERAGE=all $(BIN)/pytest -n 3 --dist loadfile --cov --cov-report=
 	@echo "reached by the tests, of all lines and branches, in per cent:"

@@ -24,7 +24,7 @@ from fieldkit.settings import TICK_S
 from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
 from mission.core.mission_file import Mission
-from mission.maps.present import Present
+from mission.maps.present import CLAIMED, Present
 from mission.replay.command import Changes, changed_mission
 
 MOST_CELLS = 250_000
@@ -34,7 +34,6 @@ AFTER_NS = 5_000_000_000
 """So long after a session's last event its last transmissions have been closed."""
 MOST_THOUGHTS = 100
 """After a session the belief thinks over what it has taken in, until nothing changes or so often."""
-CLAIMED = ("found", "candidate", "inconsistent")
 
 Progress = Callable[[float, str], None]
 """Share done, and words."""

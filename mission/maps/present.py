@@ -11,6 +11,9 @@ from fieldkit.geo import FieldFrame
 from fieldkit.messages import Event, Operator, Pose, SourceEstimate, Tick
 from mission.core.mission_file import Mission
 
+CLAIMED = ("found", "candidate")
+"""States of a source of which a position is claimed: of what does not fit the model nothing is shown."""
+
 
 @dataclass(frozen=True, slots=True)
 class Mark:
@@ -82,7 +85,7 @@ class Latest:
 
     def sources(self, inbox_number: int, log_time_ns: int, sources: Sequence[SourceEstimate]) -> None:
         """Take in what is believed; of what does not fit the model, and of what was taken away, nothing is shown."""
-        self._sources = tuple(s for s in sources if s.state in ("found", "candidate"))
+        self._sources = tuple(s for s in sources if s.state in CLAIMED)
 
     def command(self, *given: Any) -> None:
         """Maps show no commands."""
