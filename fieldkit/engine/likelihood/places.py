@@ -7,12 +7,13 @@ longer, the less a further second counts there. Without place noise both are wha
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import log_ndtr
 
 from fieldkit.channel import law
-from fieldkit.channel.model import MIN_RANGE_M
+from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears_loops import COLUMNS, NORTH, SIGMA, UP
@@ -45,6 +46,39 @@ def levels_of(known_db: tuple[float, ...], spread: ChannelSpread | None) -> tupl
     return tuple(np.linspace(low, high, max(3, int(np.ceil((high - low) / LEVEL_STEP_DB)) + 1)).tolist())
 
 
+@lru_cache(maxsize=2)
+def _hear_after_silence(
+    antenna: Antenna,
+    level_dbm: tuple[float, ...],
+    packet_loss: float,
+    squared_ranges: tuple[int, float],
+    variances: tuple[float, float],
+    rate_hz: float,
+) -> FloatArray:
+    """(spent, h - 1, steps) P(heard) that a further second counts for after a silence of each of SPENT_S.
+
+    E[p exp(-rate p T)] / E[exp(-rate p T)] over the shadowing that the place may have. `squared_ranges`: how many, and
+    their step in m^2; `variances`: in place and in time. The tables are large and slow, and alike for missions alike.
+    """
+    steps, step2_m2 = squared_ranges
+    place_var, time_var = variances
+    range_m = np.sqrt((np.arange(steps) + 0.5) * step2_m2)
+    margin = np.array(level_dbm)[:, None] - antenna.loss_db(range_m) - antenna.threshold_dbm - 0.5
+    shadows_db = _DEVIATES * np.sqrt(place_var)
+    heard = [(1.0 - packet_loss) * np.exp(log_ndtr((margin + db) / np.sqrt(time_var))) for db in shadows_db]
+    least = np.minimum.reduce(heard)
+    tables = np.empty((len(SPENT_S), *margin.shape))
+    for table, spent_s in zip(tables, SPENT_S, strict=True):
+        top, below = np.zeros(margin.shape), np.zeros(margin.shape)
+        for each, weight in zip(heard, _WEIGHTS, strict=True):
+            silent = weight * np.exp(-rate_hz * each * spent_s)
+            top += each * silent
+            below += silent
+        # So long a silence of so busy a source is too improbable for a number: the deepest shadow is what is left.
+        table[...] = np.divide(top, below, out=least.copy(), where=below > 0.0)
+    return tables
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Earlier:
     """A candidate's own readings: by which ears (k, columns) and how strong (k,)."""
@@ -67,28 +101,14 @@ class PlaceNoise:
         self.time_var = spread.sigma_time_db**2 + own_var
         self.length_m = max(spread.correlation_m, 1e-6)
         self._spent_s: dict[tuple[int, int], float] = {}
-        steps = model.hear.shape[1]
-        range_m = np.sqrt((np.arange(steps) + 0.5) * model.step2_m2)
-        self._hear = np.stack([self._hear_after(spent_s, rate_hz, range_m) for spent_s in SPENT_S])
-
-    def _hear_after(self, spent_s: float, rate_hz: float, range_m: FloatArray) -> FloatArray:
-        """(h - 1, steps) P(heard) that a further second counts for after a silence of T.
-
-        E[p exp(-rate p T)] / E[exp(-rate p T)] over the shadowing that the place may have.
-        """
-        mean = self.model.level_dbm[:, None] - self.model.antenna.loss_db(range_m)
-        margin = mean - self.model.antenna.threshold_dbm - 0.5
-        top, below = np.zeros(margin.shape), np.zeros(margin.shape)
-        least = np.ones(margin.shape)
-        for deviate, weight in zip(_DEVIATES, _WEIGHTS, strict=True):
-            shadowed = (margin + deviate * np.sqrt(self.place_var)) / np.sqrt(self.time_var)
-            heard = (1.0 - self.model.tuning.packet_loss) * np.exp(log_ndtr(shadowed))
-            silent = weight * np.exp(-rate_hz * heard * spent_s)
-            top += heard * silent
-            below += silent
-            least = np.minimum(least, heard)
-        # So long a silence of so busy a source is too improbable for a number: the deepest shadow is what is left.
-        return np.asarray(np.divide(top, below, out=least, where=below > 0.0))
+        self._hear = _hear_after_silence(
+            model.antenna,
+            tuple(model.level_dbm.tolist()),
+            model.tuning.packet_loss,
+            (model.hear.shape[1], model.step2_m2),
+            (self.place_var, self.time_var),
+            rate_hz,
+        )
 
     def listen(self, exposure_s: FloatArray, cell_m: float, ears: FloatArray, duration_s: float) -> None:
         """Add what a stretch of listening by ears (m, columns) counts for, and remember where it was."""

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.stats import gamma
+from scipy.special import gammainc, gammaincinv
 
 from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary
@@ -379,7 +379,7 @@ def rates_above(
 
     Each is the median of one of `count` parts that are equally probable.
     """
-    law = gamma(shape, scale=reference_hz / shape)
-    low = law.cdf(slowest * reference_hz)
+    scale = reference_hz / shape
+    low = gammainc(shape, slowest * reference_hz / scale)
     middle = low + (np.arange(count) + 0.5) / count * (1.0 - low)
-    return np.asarray(law.ppf(middle)), np.full(count, 1.0 / count)
+    return np.asarray(gammaincinv(shape, middle) * scale), np.full(count, 1.0 / count)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtr
-from scipy.stats import binom
+from scipy.special import bdtr
 
 from fieldkit.channel.antenna_file import Receiver
 from fieldkit.channel.spread import ChannelSpread, assumed
@@ -122,7 +122,7 @@ class Watch:
         count, heard = len(its.heard), sum(its.heard)
         if count < LEAST:
             return []
-        chance = float(binom.cdf(heard, count, float(np.mean(its.should))))
+        chance = float(bdtr(heard, count, float(np.mean(its.should))))
         if not its.insensitive and chance < INSENSITIVE_BELOW:
             its.insensitive = True
             return [
