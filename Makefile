@@ -10,7 +10,7 @@ TSC    := tests/browser/node_modules/.bin/tsc
 FLOOR      ?= 86
 CORE_FLOOR ?= 96
 
-.PHONY: demo test coverage bench lint licences protocol page-types docs screenshots wheel env clean
+.PHONY: demo test coverage bench lint kernels licences protocol page-types docs screenshots wheel env clean
 
 env: $(VENV)/.installed
 
@@ -39,8 +39,13 @@ lint: $(VENV)/.installed-dev
 licences: $(VENV)/.installed-dev
 	$(BIN)/pytest -q -n 0 tests/system/test_notice.py
 
+# What every process of the tests would compile for itself where they all begin at once.
+kernels: $(VENV)/.installed-dev
+	$(BIN)/python -m mission.lab.kernels
+
 # Three at a time on two cores: many tests wait for a wire or a clock.
-test: lint
+test: $(VENV)/.installed-dev
+	$(MAKE) --jobs 2 lint kernels
 	$(BIN)/pytest -n 3 --dist loadfile --cov=mission.core --cov=mission.safety --cov-report=
 	@echo "reached by their own tests, of the lines and branches of what decides in a mission, in per cent:"
 	$(BIN)/coverage report --include='mission/core/*,mission/safety/*' --fail-under=$(CORE_FLOOR)

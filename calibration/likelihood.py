@@ -85,20 +85,21 @@ def row_terms(theta: FloatArray, rows: Rows) -> Terms:
     return Terms(*(getattr(terms, name) - getattr(seen, name) for name in Terms.__dataclass_fields__))
 
 
-def nll(theta: FloatArray, rows: Rows) -> float:
-    """Negative log-likelihood, natural logarithm."""
-    return -float(rows.count @ row_terms(theta, rows).value)
+def nll(theta: FloatArray, rows: Rows, terms: Terms | None = None) -> float:
+    """Negative log-likelihood, natural logarithm. `terms` where those at `theta` are known, here and below."""
+    terms = terms or row_terms(theta, rows)
+    return -float(rows.count @ terms.value)
 
 
-def gradient(theta: FloatArray, rows: Rows) -> FloatArray:
+def gradient(theta: FloatArray, rows: Rows, terms: Terms | None = None) -> FloatArray:
     """(p + 1,) derivative of `nll`."""
-    terms = row_terms(theta, rows)
+    terms = terms or row_terms(theta, rows)
     return -np.append(rows.design.T @ (rows.count * terms.by_mean), rows.count @ terms.by_log_sigma)
 
 
-def hessian(theta: FloatArray, rows: Rows) -> FloatArray:
+def hessian(theta: FloatArray, rows: Rows, terms: Terms | None = None) -> FloatArray:
     """(p + 1, p + 1) second derivative of `nll`."""
-    terms = row_terms(theta, rows)
+    terms = terms or row_terms(theta, rows)
     mixed = rows.design.T @ (rows.count * terms.mean_sigma)
     block = rows.design.T @ (rows.design * (rows.count * terms.mean_mean)[:, None])
     return -np.block([[block, mixed[:, None]], [mixed[None, :], rows.count @ terms.sigma_sigma]])
@@ -123,12 +124,22 @@ def maximise(rows: Rows, start: FloatArray, penalty: FloatArray | None = None) -
 
     total = float(rows.count.sum())
     ridge = np.zeros((len(start), len(start))) if penalty is None else penalty
+    known: dict[bytes, Terms] = {}
+
+    def terms(theta: FloatArray) -> Terms:
+        """Those of the point asked for last are kept: value, slope and bend are asked for one after another."""
+        point = theta.tobytes()
+        if point not in known:
+            known.clear()
+            known[point] = row_terms(theta, rows)
+        return known[point]
+
     # Per reading, so that the tolerance means the same for a hundred readings and for a million.
     found = minimize(
-        lambda t: (nll(t, rows) + 0.5 * t @ ridge @ t) / total,
+        lambda t: (nll(t, rows, terms(t)) + 0.5 * t @ ridge @ t) / total,
         start,
-        jac=lambda t: (gradient(t, rows) + ridge @ t) / total,
-        hess=lambda t: (hessian(t, rows) + ridge) / total,
+        jac=lambda t: (gradient(t, rows, terms(t)) + ridge @ t) / total,
+        hess=lambda t: (hessian(t, rows, terms(t)) + ridge) / total,
         method="trust-exact",
         options={"gtol": 1e-8, "maxiter": 200, "initial_trust_radius": 2.0},
     )

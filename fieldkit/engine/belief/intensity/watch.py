@@ -15,8 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import ndtr
-from scipy.special import bdtr
+from scipy.special import bdtr, ndtr
 
 from fieldkit.channel.antenna_file import Receiver
 from fieldkit.channel.spread import ChannelSpread, assumed
