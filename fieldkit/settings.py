@@ -89,6 +89,8 @@ REPEAT_S = 3.0
 
 # -- a walk --------------------------------------------------------------------------------------------------
 
+WALKER: Final = "walker"
+"""Whoever walks, where nobody gives a name."""
 WALK_SIDE_M = 300.0
 """Side of the field round a walk's first position."""
 WALK_RATE_HZ = 0.1

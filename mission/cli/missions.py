@@ -14,9 +14,9 @@ from mission.cli.options import (
     JsonOption,
     PageOption,
     PortOption,
+    begun_folder,
     informed_maps,
     print_json,
-    run_folder,
     say,
     shown_page,
 )
@@ -56,7 +56,6 @@ def run(
     Example: fieldkit run mission.toml
     """
     from fieldkit.errors import ConfigError
-    from fieldkit.files import write_whole
     from fieldkit.recording.reader import open_recording
     from mission.core.mission_file import read_mission
     from mission.replay.replay import resumable
@@ -75,9 +74,7 @@ def run(
     setup = setups.live(mission)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     warm_up(mission)
-    folder = run_folder(out)
-    write_whole(folder / "mission.toml", mission.text)
-    write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
+    folder = begun_folder(out, mission)
     say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
     with (
         shown_page(mission, page, page_host, page_port) as shown,

@@ -99,6 +99,16 @@ def informed_maps(mission: "Mission") -> "Iterator[tuple[Follower, ...]]":
         yield (sender.latest,)
 
 
+def begun_folder(out: Path, mission: "Mission") -> Path:
+    """A folder of its own for this run, with the two files that it is flown with."""
+    from fieldkit.files import write_whole
+
+    folder = run_folder(out)
+    write_whole(folder / "mission.toml", mission.text)
+    write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
+    return folder
+
+
 def run_folder(out: Path) -> Path:
     """A folder of its own for this run, named by the time (UTC)."""
     from fieldkit.clock import utc_stamp

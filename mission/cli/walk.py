@@ -1,6 +1,7 @@
 """`fieldkit walk`: a person with a radio, a satellite receiver and a page. Heavy imports stay inside the command."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,8 +13,8 @@ from mission.cli.options import (
     JsonOption,
     PageOption,
     PortOption,
+    begun_folder,
     informed_maps,
-    run_folder,
     say,
     shown_page,
     stay_open,
@@ -21,11 +22,26 @@ from mission.cli.options import (
 
 if TYPE_CHECKING:
     from mission.core.mission_file import Mission
+    from mission.core.walk_text import WalkOptions
 
 FIRST_FIX_S = 120.0
+IN_THE_FILE = {
+    "receiver": "[[robot]] receiver",
+    "gnss": "[[positions]] robots",
+    "antenna": "[antenna] file",
+    "name": "[[robot]] name",
+    "size_m": "[field] size_east_m and size_north_m",
+    "rate_hz": "[sources] rate_hz",
+    "sources": "[end] sources_found",
+    "within_m": "[engine] found_within_m",
+    "cot": "[maps] cot",
+    "background": "[field] background",
+}
+"""Where a mission file says what these options say without one."""
 
 
 def walk(
+    context: typer.Context,
     mission_file: Annotated[
         Path | None,
         typer.Argument(metavar="[MISSION.TOML]", help="A mission file; without one, the options say all."),
@@ -42,6 +58,9 @@ def walk(
         str, typer.Option(help="The satellite receiver: gpsd://HOST, a serial port, udp://HOST:PORT.")
     ] = "",
     antenna: Annotated[Path | None, typer.Option(help="The antenna file of 'fieldkit calibrate'.")] = None,
+    name: Annotated[
+        str, typer.Option(help="What to call whoever walks, here and on other people's maps.")
+    ] = given.WALKER,
     size_m: Annotated[
         float, typer.Option(min=10.0, help="Side of the field round the first position.")
     ] = given.WALK_SIDE_M,
@@ -78,18 +97,35 @@ def walk(
 
     Example: fieldkit walk --receiver /dev/ttyUSB0,rylr --gnss /dev/ttyACM0 --antenna antenna.toml
     """
+    from fieldkit.errors import ConfigError
     from mission.cli.missions import print_flown
+    from mission.core.mission_file import read_mission
+    from mission.core.walk_text import WalkOptions
+    from mission.maps.background import read_background
     from mission.shell import setups
     from mission.shell.flight import fly
     from mission.shell.terminal import Watch
     from mission.shell.warm_up import warm_up
 
-    folder = run_folder(out)
-    given = {"--receiver": receiver, "--gnss": gnss, "--antenna": antenna}
-    numbers = (size_m, rate_hz, float(sources), within_m)
-    maps = ("" if background is None else str(background.resolve()), tuple(cot or ()))
-    mission = _mission(mission_file, folder, given, numbers, maps)
+    if mission_file is not None:
+        _nothing_twice(context, mission_file)
+        mission = read_mission(mission_file)
+        if not mission.safety.on_foot:
+            raise ConfigError(
+                f"{mission_file}: robot: nobody walks; give a robot "
+                'vehicle = { driver = "person", address = "page" }'
+            )
+    else:
+        _all_there(receiver, gnss, antenna, background)
+        picture = "" if background is None else str(background.resolve())
+        options = WalkOptions(
+            _receiver(receiver), gnss, Path(antenna or "").name, (0.0, 0.0), size_m, rate_hz, float(sources),
+            within_m, person=name, background=picture, cot=tuple(cot or ()),
+        )  # fmt: skip
+        mission = _round_here(options, Path(antenna or "").parent)
+    read_background(mission)  # before the walk: a map of elsewhere is of no use in the field
     setup = setups.live(mission)
+    folder = begun_folder(out, mission)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     warm_up(mission)
     say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
@@ -100,82 +136,57 @@ def walk(
         stay_open(shown, runner)
 
 
-def _mission(
-    mission_file: Path | None,
-    folder: Path,
-    given: dict[str, Any],
-    numbers: tuple[float, float, float, float],
-    maps: tuple[str, tuple[str, ...]],
-) -> "Mission":
-    """The mission of a file, or of what the options say. Raises `ConfigError`, `DeviceError`."""
+def _nothing_twice(context: typer.Context, mission_file: Path) -> None:
+    """Raises `ConfigError` for an option that the mission file would silently outdo."""
     from fieldkit.errors import ConfigError
-    from mission.core.mission_file import read_mission
-    from mission.maps.background import read_background
 
-    if mission_file is None:
-        missing = [name for name, value in given.items() if not value]
-        if missing:
+    for option, key in IN_THE_FILE.items():
+        source = context.get_parameter_source(option)
+        if source is not None and source.name == "COMMANDLINE":
             raise ConfigError(
-                f"expected a mission file, or --receiver, --gnss and --antenna; missing: {', '.join(missing)}. "
-                "'fieldkit demo --walk lora' shows a walk without any device"
+                f"--{option.replace('_', '-')}: with a mission file that is {key} in {mission_file}; "
+                "write it there, or walk without a file"
             )
-        mission_file = _written(folder, given, numbers, maps)
-    elif maps[1]:
-        raise ConfigError(f"--cot: the mission file says whom it informs: [maps] cot = {list(maps[1])}")
-    elif maps[0]:
-        raise ConfigError(f"--background: the mission file names it: [field] background = {maps[0]!r}")
-    mission = read_mission(mission_file)
-    read_background(mission)  # before the walk: a map of elsewhere is of no use in the field
-    if not mission.safety.on_foot:
+
+
+def _all_there(receiver: str, gnss: str, antenna: Path | None, background: Path | None) -> None:
+    """Raises `ConfigError` for what is missing, before anybody waits for a position."""
+    from fieldkit.errors import ConfigError
+
+    given = {"--receiver": receiver, "--gnss": gnss, "--antenna": antenna}
+    if missing := [name for name, value in given.items() if not value]:
         raise ConfigError(
-            f'{mission_file}: robot: nobody walks; give a robot vehicle = {{ driver = "person", address = "page" }}'
+            f"expected a mission file, or --receiver, --gnss and --antenna; missing: {', '.join(missing)}. "
+            "'fieldkit demo --walk lora' shows a walk without any device"
         )
-    return mission
+    if antenna is not None and not antenna.is_file():
+        raise ConfigError(
+            f"--antenna {antenna}: cannot be read: no such file; 'fieldkit calibrate' writes one"
+        )
+    if background is not None and not background.is_file():
+        raise ConfigError(f"--background {background}: no such file")
 
 
-def _written(
-    folder: Path,
-    given: dict[str, Any],
-    numbers: tuple[float, float, float, float],
-    maps: tuple[str, tuple[str, ...]],
-) -> Path:
-    """A mission file in the walk's folder, its field round the first position. Raises `ConfigError`, `DeviceError`."""
+def _round_here(options: "WalkOptions", beside: Path) -> "Mission":
+    """The mission of a field round the first position, its antenna file in the folder `beside`.
+
+    Whatever can be wrong is said before anybody waits for that position. Raises `ConfigError`, `DeviceError`.
+    """
     import asyncio
 
-    from fieldkit.errors import ConfigError
-    from fieldkit.files import write_whole
     from fieldkit.geo import FieldFrame
-    from mission.core.walk_text import WalkOptions, walk_text
+    from mission.core.mission_file import mission_of
+    from mission.core.walk_text import walk_text
+    from mission.shell import setups
     from mission.shell.first_fix import first_fix
 
-    size_m, rate_hz, expected, within_m = numbers
-    path = Path(given["--antenna"])
-    try:
-        write_whole(folder / "antenna.toml", path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(
-            f"--antenna {path}: cannot be read: {error}; 'fieldkit calibrate' writes one"
-        ) from error
-    receiver = _receiver(given["--receiver"])
-    say(f"waiting for a position from {given['--gnss']} ...")
-    lat_deg, lon_deg = asyncio.run(first_fix(given["--gnss"], FIRST_FIX_S))
-    south_west = FieldFrame(lat_deg, lon_deg).to_geodetic(-size_m / 2, -size_m / 2)
-    text = walk_text(
-        WalkOptions(
-            receiver,
-            given["--gnss"],
-            "antenna.toml",
-            (south_west[0], south_west[1]),
-            size_m,
-            rate_hz,
-            expected,
-            within_m,
-            background=maps[0],
-            cot=maps[1],
-        )
-    )
-    write_whole(folder / "mission.toml", text)
-    return folder / "mission.toml"
+    where = beside / "(options)"
+    setups.live(mission_of(walk_text(options), where))
+    say(f"waiting for a position from {options.gnss} ...")
+    lat_deg, lon_deg = asyncio.run(first_fix(options.gnss, FIRST_FIX_S))
+    half_m = options.size_m / 2
+    origin_deg = FieldFrame(lat_deg, lon_deg).to_geodetic(-half_m, -half_m)[:2]
+    return mission_of(walk_text(replace(options, origin_deg=origin_deg)), where)
 
 
 def _receiver(words: str) -> dict[str, Any]:

@@ -29,7 +29,7 @@ class WalkOptions:
     expected: float = 1.0
     found_within_m: float = given.WALK_FOUND_WITHIN_M
     name: str = "walk"
-    person: str = "me"
+    person: str = given.WALKER
     seed: int = 0
     max_duration_s: float = 4 * 3600.0
     rate: float = 1.0

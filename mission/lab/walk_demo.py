@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldkit import plugins
+from fieldkit import settings as given
 from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
 from fieldkit.channel.model import Antenna
 from fieldkit.channel.spread import ChannelSpread
@@ -47,7 +48,6 @@ KINDS = {
 """Kind of walk to the words its radio prints in."""
 BEHIND_DB = 8.0
 """What a body takes from a signal that comes from behind."""
-PERSON = "me"
 
 
 def yagi_gain_db() -> list[float]:
@@ -123,7 +123,7 @@ def demo_walk(
 
     def advice() -> tuple[float, float] | None:
         """As a person reads it from the page."""
-        where = getattr(links[0], "advice", {}).get(PERSON) if links else None
+        where = getattr(links[0], "advice", {}).get(given.WALKER) if links else None
         return None if where is None else (where.east_m, where.north_m)
 
     emulated = plugins.load("fieldkit.emulators", "walk")(
@@ -142,7 +142,7 @@ def demo_walk(
         text = walk_text(
             WalkOptions(
                 receiver, walk.gnss_port, "antenna.toml", ORIGIN_DEG, SIZE_M, RATE_HZ,
-                seed=seed, name=f"walk-{kind}", person=PERSON, rate=rate, background=background,
+                seed=seed, name=f"walk-{kind}", rate=rate, background=background,
             )
         )  # fmt: skip
         write_whole(folder / "mission.toml", text)

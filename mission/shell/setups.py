@@ -6,7 +6,7 @@ same drivers, through the same wires, as the live one.
 
 import asyncio
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +18,7 @@ from fieldkit import settings as given
 from fieldkit.channel.antenna_file import with_pattern
 from fieldkit.channel.model import Antenna
 from fieldkit.clock import Clock, RealClock, ScaledClock
+from fieldkit.errors import ConfigError
 from fieldkit.ports import DriverContext, PositionSource, Receiver, VehicleLink
 from fieldkit.world.sources import TransientSource
 from mission.core.mission_file import Mission
@@ -74,7 +75,29 @@ def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emula
         positions.append(
             plugins.load("fieldkit.positions", table.driver)(dict(table.model_extra or {}), around)
         )
+    if emulator is None:
+        _check_places(mission, positions)
     return Setup(clock, tuple(receivers), links, tuple(positions), emulator, tap)
+
+
+def _check_places(mission: Mission, positions: Sequence[PositionSource]) -> None:
+    """Raises `ConfigError` for a source that places nobody of this mission, and for a person whom none places."""
+    names = mission.kernel.engine.robots
+    ports = {(robot.receiver.model_extra or {}).get("port"): robot.name for robot in mission.file.robot}
+    for number, table in enumerate(mission.file.positions):
+        placed = (table.model_extra or {}).get("robots")
+        for robot, port in placed.items() if isinstance(placed, dict) else ():
+            where = f"{mission.where}: positions.{number}.robots.{robot}"
+            if robot not in names:
+                raise ConfigError(f"{where}: there is no such robot; robots are: {', '.join(names)}")
+            if isinstance(port, str) and port in ports:
+                raise ConfigError(f"{where}: {port} is the port of robot {ports[port]!r}'s radio already")
+    placed_at_all = {robot for source in positions for robot in source.robots}
+    for robot in sorted(mission.safety.on_foot - placed_at_all):
+        raise ConfigError(
+            f"{mission.where}: robot {robot!r}: nothing says where this person is; add "
+            f'[[positions]] driver = "gnss", robots = {{ {robot} = "/dev/ttyACM0" }}'
+        )
 
 
 def with_vehicles(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock) -> tuple[VehicleLink, ...]:

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import re
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,27 +13,32 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from fieldkit.channel.antenna_file import dump_antenna
 from fieldkit.cli import build
 from fieldkit.clock import RealClock, VirtualClock
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Event, GoTo, Hold, Operator, Pose, Tick, VehicleState, Waypoint
 from fieldkit.ports import PositionSource
+from fieldkit.settings import WALKER
 from fieldkit.world.walker import Walker, WanderingError, body_loss_db
 from mission.cli.walk import _receiver
 from mission.core.advice import advise
 from mission.core.kernel import Kernel
-from mission.core.mission_file import Mission, parse_mission
+from mission.core.mission_file import Mission, mission_of, parse_mission
 from mission.core.tables import FieldTable
 from mission.core.walk_text import WalkOptions, walk_text
 from mission.lab.study.walk import GUIDES, Job, _lanes, summary, trial, walk_mission
 from mission.lab.synthetic import small_mission
+from mission.lab.walk_demo import believed
 from mission.page.commands import checked_command
 from mission.page.serve import LivePage
 from mission.safety.rules import Safety
 from mission.shell.intake import streams_of
 from mission.shell.runner import Runner
+from mission.shell.setups import live
 
 S = 10**9
+DEVICES = ["walk", "--receiver", "x,rylr", "--gnss", "/dev/none", "--antenna", "antenna.toml"]
 
 
 # -- safety ----------------------------------------------------------------------------------------------------
@@ -192,7 +198,7 @@ def test_the_file_of_a_walk_is_a_mission_with_a_person() -> None:
     assert [robot.on_foot for robot in file.robot] == [True]
     assert file.positions[0].driver == "gnss"
     mission = walk_mission(3)
-    assert mission.safety.on_foot == {"me"}
+    assert mission.safety.on_foot == {WALKER}
     assert mission.kernel.max_pose_gap_s >= 2.0, "a satellite receiver gives one position a second"
 
 
@@ -228,7 +234,7 @@ async def test_a_height_above_the_sea_is_none_above_the_ground_for_those_who_wal
 
 def test_a_drone_placed_by_satellites_needs_to_know_how_high_its_field_lies() -> None:
     walk = walk_mission(3)
-    flown = replace(walk, safety=replace(walk.safety, altitude_m={"me": 10.0}))
+    flown = replace(walk, safety=replace(walk.safety, altitude_m={WALKER: 10.0}))
     high = replace(flown, file=flown.file.model_copy(update={"field": at_500_m(flown)}))
     for mission, warned in ((walk, False), (flown, True), (high, False)):
         assert any("origin_alt_m is 0" in note for note in advise(mission)) == warned
@@ -284,10 +290,56 @@ def test_a_walk_that_found_nothing_counts_as_longer_than_all_others() -> None:
             ["walk", "--receiver", "x,rylr", "--gnss", "/dev/none", "--antenna", "none.toml"],
             "--antenna none.toml: cannot be read",
         ),
+        ([*DEVICES, "--background", "none.png"], "--background none.png: no such file"),
+        ([*DEVICES, "--receiver", "x,nobody"], "(lines): option 'map': expected one of json"),
+        ([*DEVICES, "--cot", "nonsense"], "maps.cot: expected udp://HOST:PORT"),
+        ([*DEVICES, "--name", ""], "robot.0.name: string should have at least 1"),
+        (
+            ["walk", "m.toml", "--receiver", "x,rylr"],
+            "--receiver: with a mission file that is [[robot]] receiver in",
+        ),
+        (["walk", "m.toml", "--size-m", "300"], "--size-m: with a mission file that is [field] size_east_m"),
         (["demo", "--walk", "smoke"], "--walk: expected one of ble, wifi, lora"),
     ],
 )
-def test_what_is_missing_for_a_walk_is_said(arguments: list[str], says: str, tmp_path: Path) -> None:
-    result = CliRunner().invoke(build(), [*arguments, "--out", str(tmp_path), "--no-page"])
+def test_what_is_missing_for_a_walk_is_said(
+    arguments: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before anybody waits for a position: there is no satellite receiver at all."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "antenna.toml").write_text(dump_antenna(believed()))
+    result = CliRunner().invoke(build(), [*arguments, "--out", "runs", "--no-page"])
     assert result.exit_code != 0
     assert says in " ".join((result.output + str(result.exception)).split())
+    assert "demo" in arguments or not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            'walker = "/dev/x"',
+            'wlaker = "/dev/x"',
+            "robots.wlaker: there is no such robot; robots are: walker",
+        ),
+        (
+            'walker = "/dev/x"',
+            'walker = "/dev/radio"',
+            "/dev/radio is the port of robot 'walker''s radio already",
+        ),
+        (
+            '[[positions]]\ndriver = "gnss"\n\n[positions.robots]\nwalker = "/dev/x"\n',
+            "",
+            "robot 'walker': nothing says where this person is; add [[positions]]",
+        ),
+    ],
+)
+def test_a_walk_says_which_of_its_devices_is_not_as_it_should_be(
+    old: str, new: str, says: str, tmp_path: Path
+) -> None:
+    (tmp_path / "antenna.toml").write_text(dump_antenna(believed()))
+    radio = {"driver": "lines", "port": "/dev/radio", "map": "rylr"}
+    text = walk_text(WalkOptions(radio, "/dev/x", "antenna.toml", (47.0, 8.0)))
+    assert old in text
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        live(mission_of(text.replace(old, new), tmp_path / "mission.toml"))

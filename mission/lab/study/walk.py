@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from fieldkit import settings as given
 from fieldkit.channel.antenna_file import dump_antenna
 from fieldkit.messages import EndMission, Event, GoTo, Hold, Pose, RssReading, Tick, VehicleState
 from fieldkit.world.channel import sample_rss_dbm
@@ -24,7 +25,6 @@ from mission.lab.study.pool import run_trials
 from mission.lab.walk_demo import (
     BEHIND_DB,
     ORIGIN_DEG,
-    PERSON,
     RADIO,
     RATE_HZ,
     SIZE_M,
@@ -55,9 +55,7 @@ def walk_mission(seed: int) -> Mission:
     """As `fieldkit walk` writes it."""
     antenna = believed()
     receiver = {"driver": "lines", "port": "-", "map": "json"}
-    text = walk_text(
-        WalkOptions(receiver, "-", "antenna.toml", ORIGIN_DEG, SIZE_M, RATE_HZ, seed=seed, person=PERSON)
-    )
+    text = walk_text(WalkOptions(receiver, "-", "antenna.toml", ORIGIN_DEG, SIZE_M, RATE_HZ, seed=seed))
     return assemble(parse_mission(text, "walk"), text, antenna, dump_antenna(antenna), "walk")
 
 
@@ -70,11 +68,11 @@ def trial(job: Job) -> dict[str, Any]:
     walker = Walker(SIZE_M / 2.0, 10.0, rng[0], ignores=ignores, size_m=(SIZE_M, SIZE_M))
     error, traffic = WanderingError(3.0, 60.0, rng[1]), Transmissions([source], rng[2])
     guide = _Guide(job.guide, rng[3])
-    inbox: list[Event] = [VehicleState(0, PERSON, "guided", True)]
+    inbox: list[Event] = [VehicleState(0, given.WALKER, "guided", True)]
     at_s, reason = 0.0, ""
     while not reason and at_s < CAP_S:
         east, north = walker.east_m + float(error.off_m[0]), walker.north_m + float(error.off_m[1])
-        inbox.append(Pose(round(at_s * 1e9), PERSON, east, north, 0.0, walker.heading_deg, 3.0, "gnss"))
+        inbox.append(Pose(round(at_s * 1e9), given.WALKER, east, north, 0.0, walker.heading_deg, 3.0, "gnss"))
         for heard_s, _ in traffic.until(at_s):
             way = np.array([[source.east_m - walker.east_m, source.north_m - walker.north_m]])
             off_deg = np.degrees(np.arctan2(way[:, 0], way[:, 1])) - walker.heading_deg
@@ -82,7 +80,7 @@ def trial(job: Job) -> dict[str, Any]:
                 RADIO, np.hypot(*way.T), -body_loss_db(off_deg, BEHIND_DB), guide.channel, np.zeros(1)
             )
             if not np.isnan(rss[0]):
-                inbox.append(RssReading(round(heard_s * 1e9), PERSON, float(rss[0]), "lines"))
+                inbox.append(RssReading(round(heard_s * 1e9), given.WALKER, float(rss[0]), "lines"))
                 guide.hear(float(rss[0]), (east, north))
         inbox.append(Tick(round(at_s * 1e9)))
         for event in inbox:
