@@ -109,7 +109,9 @@ class KismetDbLink(_Polled):
         super().__init__()
         if not path.is_file():
             raise FileNotFoundError("no such file")
-        self._database = sqlite3.connect(f"file:{path}?mode=ro", uri=True, check_same_thread=False)
+        self._database = sqlite3.connect(
+            f"{path.absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False
+        )
         try:
             (last,) = self._database.execute("select coalesce(max(rowid), 0) from packets").fetchone()
         except sqlite3.Error as error:

@@ -46,7 +46,8 @@ def redact(path_in: Path, path_out: Path, *, keep_place: bool = False) -> dict[s
     def edit_header(header: dict[str, Any]) -> dict[str, Any]:
         mission = redacted_mission(str(header.get("mission_toml", "")), salt, keep_place)
         antenna = _redacted_antenna(str(header.get("antenna_toml", "")))
-        return header | {"mission_toml": mission, "antenna_toml": antenna}
+        kept = {key: value for key, value in header.get("metadata", {}).items() if key != "background"}
+        return header | {"mission_toml": mission, "antenna_toml": antenna, "metadata": kept}
 
     rewrite(
         path_in,
@@ -60,9 +61,16 @@ def redact(path_in: Path, path_out: Path, *, keep_place: bool = False) -> dict[s
 
 
 def redacted_mission(text: str, salt: bytes, keep_place: bool) -> str:
-    """A mission file without ports, addresses and (unless kept) the field's place on Earth: it is put at 0, 0."""
+    """A mission file without ports, addresses and (unless kept) the field's place on Earth: it is put at 0, 0.
+
+    The picture under the map goes too, by whose name its owner and the place may be known, and other people's maps.
+    """
     document = tomlkit.parse(text)
     field = document.get("field")
+    document.pop("maps", None)
+    if field is not None:
+        for key in ("background", "background_crs"):
+            field.pop(key, None)
     if field is not None and not keep_place:
         for key in ("origin_lat_deg", "origin_lon_deg", "origin_alt_m"):
             if key in field:

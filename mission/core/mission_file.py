@@ -53,7 +53,10 @@ class Mission:
     @property
     def recorded_settings(self) -> dict[str, Any]:
         """What a recording needs beside the two files, to be replayed by a fieldkit with other defaults."""
-        return {"tuning": self.kernel.engine.tuning.tables(), "defaults": left_open(self.file)}
+        kept = {"tuning": self.kernel.engine.tuning.tables(), "defaults": left_open(self.file)}
+        if not (picture := self.file.field.background):
+            return kept
+        return kept | {"background": str((Path(self.where).parent / picture).absolute())}
 
     @property
     def fence_m(self) -> tuple[tuple[float, float], ...]:

@@ -11,6 +11,7 @@ import logging
 import math
 import re
 import sqlite3
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -35,6 +36,10 @@ LARGEST_PX = 3000
 """Side of a picture that is sent."""
 INLINE_PX, TILE_PX = 1400, 256
 """Side of a picture, and of one of many, that goes into a report: reports are sent by mail."""
+ABOUT = "select name, value from metadata where name is not null and value is not null"
+ZOOMS = """select distinct zoom_level from tiles where typeof(zoom_level) = 'integer' and zoom_level between 0 and 30
+order by 1 desc"""
+"""The finest first. What is no zoom, in a damaged file or somebody else's, is passed over."""
 OVERVIEW_M = 25.0
 """A whole tile file of which a pixel is more than this is no map of a field."""
 
@@ -76,27 +81,29 @@ class Background:
 
     def described(self, folder: str = "background") -> BackgroundShown:
         """As the page is sent it; it fetches the pictures from `folder`."""
-        return self._described(f"{folder}/{each.name}" for each in self.pictures)
+        return self._described((each, f"{folder}/{each.name}") for each in self.pictures)
 
     def smaller(self) -> Iterator[Picture]:
-        """As they go into a report."""
+        """As they go into a report; damaged ones are passed over."""
         for each in self.pictures:
-            data, media_type = _smaller(each, INLINE_PX if len(self.pictures) == 1 else TILE_PX)
-            yield replace(each, data=data, media_type=media_type)
+            try:
+                data, media_type = _smaller(each, INLINE_PX if len(self.pictures) == 1 else TILE_PX)
+            except _unreadable() as error:
+                logger.warning("a picture under the map is left out (%s): %s", each.name, error)
+            else:
+                yield replace(each, data=data, media_type=media_type)
 
     def inlined(self) -> BackgroundShown:
         """As the page is given it where it has no server: with the pictures in it."""
         return self._described(
-            f"data:{each.media_type};base64,{base64.b64encode(each.data).decode()}" for each in self.smaller()
+            (each, f"data:{each.media_type};base64,{base64.b64encode(each.data).decode()}")
+            for each in self.smaller()
         )
 
-    def _described(self, urls: Iterable[str]) -> BackgroundShown:
+    def _described(self, pictures: Iterable[tuple[Picture, str]]) -> BackgroundShown:
         return {
             "credit": self.credit,
-            "pictures": [
-                {"url": url, "corners_m": each.corners_m}
-                for url, each in zip(urls, self.pictures, strict=True)
-            ],
+            "pictures": [{"url": url, "corners_m": each.corners_m} for each, url in pictures],
         }
 
 
@@ -145,9 +152,9 @@ def background_or_none(mission: Mission) -> Background | None:
 
 def _tiles(path: Path, where: str, ground: Ground) -> Background:
     try:
-        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as file:
-            about = dict(file.execute("select name, value from metadata"))
-            zooms = [row[0] for row in file.execute("select distinct zoom_level from tiles order by 1 desc")]
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as file:
+            about = {str(name): str(value) for name, value in file.execute(ABOUT)}
+            zooms = [row[0] for row in file.execute(ZOOMS)]
             if about.get("format") == "pbf":
                 raise ConfigError(
                     f"{where}: its tiles are vectors; pictures are drawn (png, jpg, webp): export raster tiles"
@@ -156,7 +163,7 @@ def _tiles(path: Path, where: str, ground: Ground) -> Background:
                 found = _at_zoom(file, zoom, ground)
                 if found is not None:
                     pictures, covered = found
-                    return Background(pictures, _plain(str(about.get("attribution") or "")), covered)
+                    return Background(pictures, _plain(about.get("attribution", "")), covered)
     except sqlite3.Error as error:
         raise ConfigError(f"{where}: not an MBTiles file: {error}") from error
     raise ConfigError(f"{where}: {_elsewhere(about, zooms, ground)}")
@@ -194,7 +201,7 @@ def _tile(file: sqlite3.Connection, zoom: int, column: int, row: int) -> bytes |
         "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?",
         (zoom, column, 2**zoom - 1 - row),
     ).fetchone()
-    return None if found is None or found[0] is None else bytes(found[0])
+    return found[0] if found is not None and isinstance(found[0], bytes) else None
 
 
 def _column(lon_deg: float, zoom: int) -> float:
@@ -246,10 +253,11 @@ def _elsewhere(about: dict[str, str], zooms: list[int], ground: Ground) -> str:
 
 
 def _picture(path: Path, where: str, ground: Ground, crs: str) -> Background:
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        quiet = warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning)
+        with quiet, Image.open(path) as image:
             pixels = pixel_map(path, image, crs, where)
             place = _placer(pixels.crs, ground)
             corners = [place(*pixels.at(u, v)) for u, v in ((0, 0), (image.width, 0), (0, image.height))]
@@ -257,16 +265,22 @@ def _picture(path: Path, where: str, ground: Ground, crs: str) -> Background:
             box = _box(whole, image.width, image.height, ground)
             covered = _covered([whole], ground)
             if box is None or covered == 0.0:
-                away_m = math.hypot(*whole[0])
+                away_km = math.hypot(*whole[0]) / 1000
                 raise ConfigError(
-                    f"{where}: is a picture of elsewhere, {away_m / 1000:.0f} km away: is background_crs right?"
+                    f"{where}: is a picture of elsewhere, {away_km:.{0 if away_km > 1 else 2}f} km away: "
+                    "is background_crs right?"
                 )
             left, upper, right, lower = box
             inner = [place(*pixels.at(u, v)) for u, v in ((left, upper), (right, upper), (left, lower))]
             data, media_type = _encoded(image.crop(box))
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError) as error:
-        if isinstance(error, ConfigError):
-            raise
+    except ConfigError:
+        raise
+    except Image.DecompressionBombError as error:
+        raise ConfigError(
+            f"{where}: has more than {2 * (Image.MAX_IMAGE_PIXELS or 0) / 1e6:.0f} million pixels: cut it to the "
+            "field, or make an .mbtiles of it"
+        ) from error
+    except _unreadable() as error:
         raise ConfigError(f"{where}: cannot be read as a picture: {error}") from error
     picture = Picture("picture", media_type, data, (inner[0], inner[1], inner[2]))
     return Background((picture,), "", covered)
@@ -307,6 +321,13 @@ def _pixel(corners: Corners, east_m: float, north_m: float) -> tuple[float, floa
         raise ValueError("its world file makes a line of it")
     dx, dy = east_m - x0, north_m - y0
     return (d * dx - b * dy) / whole, (a * dy - c * dx) / whole
+
+
+def _unreadable() -> tuple[type[Exception], ...]:
+    """What Pillow raises for a picture that it cannot read."""
+    from PIL import Image
+
+    return (Image.DecompressionBombError, OSError, SyntaxError, ValueError)
 
 
 def _smaller(picture: Picture, side_px: int) -> tuple[bytes, str]:

@@ -19,6 +19,7 @@ from fieldkit.tuning import Tuning
 from mission.core.defaults import filled_in
 from mission.core.kernel import Kernel, Outcome, state_digest
 from mission.core.mission_file import Mission, assemble, parse_mission
+from mission.core.tables import MissionFile
 from mission.safety.rules import Safety
 from mission.shell.recorder import Follower, MissionRecorder
 
@@ -67,7 +68,18 @@ def recorded_mission(
     if antenna is None:
         antenna_text = recording.antenna_toml
         antenna = parse_antenna(tomllib.loads(antenna_text), f"{recording.path} (recorded antenna.toml)")
-    return assemble(file, text, antenna, antenna_text, where, tuning)
+    return assemble(_with_its_ground(file, recording), text, antenna, antenna_text, where, tuning)
+
+
+def _with_its_ground(file: MissionFile, recording: Recording) -> MissionFile:
+    """With the picture under the map where it was when the mission was flown, unless it lies beside the recording."""
+    field, there = file.field, recording.metadata.get("background")
+    if (
+        not (field.background and isinstance(there, str))
+        or (recording.path.parent / field.background).is_file()
+    ):
+        return file
+    return file.model_copy(update={"field": field.model_copy(update={"background": there})})
 
 
 def resumable(recording: Recording) -> Mission:

@@ -13,12 +13,15 @@ from typer.testing import CliRunner
 
 from fieldkit.cli import build
 from fieldkit.errors import ConfigError
-from mission.core.mission_file import Mission, parse_mission
+from fieldkit.recording.reader import open_recording
+from mission.core.mission_file import Mission, parse_mission, read_mission
 from mission.core.walk_text import WalkOptions, walk_text
 from mission.lab.study.walk import walk_mission
+from mission.lab.synthetic import record, small_mission
 from mission.maps import background as module
 from mission.maps.background import Background, background_or_none, read_background
 from mission.maps.georeference import to_degrees
+from mission.replay.replay import recorded_mission
 
 SIDE_M = 300.0
 
@@ -106,6 +109,31 @@ def test_what_is_no_tile_file_is_said(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "map.mbtiles").write_bytes(content)
     with pytest.raises(ConfigError, match="not an MBTiles file"):
         read(walk(tmp_path, "map.mbtiles"))
+
+
+def test_a_tile_file_may_have_any_name_and_odd_rows(tmp_path: Path) -> None:
+    name = "up & down, 100 % #2?.mbtiles"
+    mission = walk(tmp_path, name)
+    mbtiles(tmp_path / name, range(14, 17), *mission.frame.to_geodetic(150.0, 150.0)[:2])
+    odd = [(99, 1, 1, b"x"), (-1, 0, 0, png()), ("high", 1, 1, png()), (None, None, None, None)]
+    with closing(sqlite3.connect(tmp_path / name)) as file:
+        file.executemany("insert into tiles values (?, ?, ?, ?)", odd)
+        file.executemany(
+            "insert into metadata values (?, ?)", [("bounds", None), (None, "x"), ("attribution", None)]
+        )
+        (one,) = file.execute("select min(rowid) from tiles where zoom_level = 16").fetchone()
+        file.execute("update tiles set tile_data = 'text' where rowid = ?", (one,))
+        file.commit()
+    found = read(mission)
+    assert found.credit == "" and {picture.name.split("-")[0] for picture in found.pictures} == {"16"}
+
+
+def test_a_damaged_tile_is_left_out_of_a_report_and_costs_no_more(tmp_path: Path) -> None:
+    mission = walk(tmp_path, "map.mbtiles")
+    mbtiles(tmp_path / "map.mbtiles", range(16, 17), *mission.frame.to_geodetic(150.0, 150.0)[:2])
+    found = read(mission)
+    damaged = replace(found, pictures=(replace(found.pictures[0], data=png()[:40]), *found.pictures[1:]))
+    assert len(damaged.inlined()["pictures"]) == len(found.pictures) - 1
 
 
 def test_vector_tiles_are_refused_with_what_to_do(tmp_path: Path) -> None:
@@ -229,6 +257,19 @@ def test_what_cannot_be_shown_says_why(name: str, crs: str, says: str, tmp_path:
         read(walk(tmp_path, name, crs))
 
 
+def test_a_picture_larger_than_can_be_read_says_what_to_make_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+) -> None:
+    (tmp_path / "large.png").write_bytes(png())
+    world(tmp_path / "large.pgw", (1.0, -1.0), (0.0, 300.0))
+    # Pillow warns of what is larger: nobody in the field can act on that.
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 60_000)
+    assert read(walk(tmp_path, "large.png", "local")).covered > 0.5 and not recwarn.list
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 30_000)
+    with pytest.raises(ConfigError, match="more than 0 million pixels: cut it to the field"):
+        read(walk(tmp_path, "large.png", "local"))
+
+
 # -- a mission with one ------------------------------------------------------------------------------------------
 
 
@@ -254,3 +295,19 @@ def test_check_says_how_much_of_the_field_is_shown(tmp_path: Path) -> None:
     (tmp_path / "half.png").write_bytes(png(side=150))
     world(tmp_path / "half.pgw", (1.0, -2.0), (0.0, 300.0))
     assert read(mission).covered == pytest.approx(0.5)
+
+
+def test_a_recording_finds_the_ground_where_the_mission_was_flown(tmp_path: Path) -> None:
+    small_mission(tmp_path, duration_s=2.0)
+    (tmp_path / "ground.png").write_bytes(png())
+    world(tmp_path / "ground.pgw", (0.1, -0.1), (0.0, 10.0))
+    field = 'background = "ground.png"\nbackground_crs = "local"\n'
+    path = tmp_path / "mission.toml"
+    path.write_text(path.read_text().replace("origin_lat_deg", f"{field}origin_lat_deg", 1))
+    (tmp_path / "runs").mkdir()
+    log = record(read_mission(path), tmp_path / "runs" / "mission.mcap", 1)
+    mission = recorded_mission(open_recording(log))
+    assert read(mission).covered == 1.0
+    (tmp_path / "runs" / "ground.png").write_bytes(png())  # another of this name lies nearer
+    world(tmp_path / "runs" / "ground.pgw", (0.1, -0.1), (0.0, 5.0))
+    assert read(recorded_mission(open_recording(log))).covered == 0.5

@@ -14,6 +14,9 @@ schema = 1
 origin_lat_deg = 47.3977  # behind the barn
 origin_lon_deg = 8.5456
 size_east_m = 10.0
+background = "secret valley.mbtiles"
+[maps]
+cot = ["tcp://secret.local:8087"]
 [[robot]]
 name = "r1"
 receiver = { driver = "xbee", port = "/dev/ttySECRET" }
@@ -22,7 +25,8 @@ vehicle = { driver = "mavlink", address = "udpin:secret-host:14550", system_id =
 
 
 def make(path):
-    with RecordingWriter(path, mission_toml=MISSION, antenna_toml="schema = 1\n") as writer:
+    more = {"background": "/home/secret/valley.mbtiles"}
+    with RecordingWriter(path, mission_toml=MISSION, antenna_toml="schema = 1\n", metadata=more) as writer:
         writer.raw(1, "xbee", b"secret bytes")
         writer.attach("secret.txt", b"secret")
         writer.event(1, 1, RssReading(1, "r1", -60.0, frame_id="secret-address:1"))
