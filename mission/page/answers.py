@@ -127,7 +127,7 @@ class Answers:
         try:
             async with self._reporting:
                 page = await asyncio.to_thread(self._report)
-        except FieldkitError as error:
+        except (FieldkitError, OSError) as error:
             return PlainTextResponse(f"the report cannot be written: {error}", 500)
         return Response(page, media_type="text/html", headers=_FRESH)
 

@@ -23,7 +23,7 @@ from urllib.parse import urlsplit
 
 import uvicorn
 from starlette.applications import Starlette
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -277,7 +277,14 @@ class Page:
                 return PlainTextResponse(UNKNOWN_HOST, 421)
             if posted and not is_own_origin(request.headers.get("origin"), host):
                 return PlainTextResponse("another page may not do this", 403)
-            return await answer(request)
+            try:
+                return await answer(request)
+            except ClientDisconnect:  # whoever asked has gone in the middle of it
+                return PlainTextResponse("", 400)
+            except Exception as error:  # anybody may ask: not each of them may fill the terminal
+                words = f"{request.url.path} could not be answered: {type(error).__name__}: {error}"
+                logger.error(words, exc_info=logger.isEnabledFor(logging.INFO))
+                return PlainTextResponse(words, 500)
 
         return answered
 

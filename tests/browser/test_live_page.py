@@ -207,7 +207,7 @@ def test_without_the_token_one_can_look_but_not_command(browser: Any, flown: Flo
 
 
 def test_a_wrong_token_is_said(browser: Any, flown: Flown) -> None:
-    with looking(browser, flown.page.address + "#wrong") as tab:
+    with looking(browser, flown.page.address + "#wrong%") as tab:
         tab.wait_for_selector("text=The token is wrong")
         assert tab.locator("#hold-all").is_disabled()
 

@@ -1,7 +1,10 @@
 """The page on a phone, 390 by 844 and touched, in the light scheme that sunlight asks for."""
 
+import contextlib
+import socket
+import threading
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Self
 
 import pytest
 from flying import Flown, looking, wait_until
@@ -64,3 +67,66 @@ def test_a_thumb_marks_sounds_and_holds(tab: Any, walking: Flown) -> None:
 
 def test_nothing_is_wider_than_the_phone(tab: Any) -> None:
     assert tab.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
+
+
+class Air:
+    """What is between a phone and the page; out of reach, it carries nothing and tells nobody."""
+
+    def __init__(self, port: int) -> None:
+        self._page, self._server = port, socket.create_server(("127.0.0.1", 0))
+        self.port = self._server.getsockname()[1]
+        self.ends: list[socket.socket] = []
+        self._carries: list[threading.Event] = []
+
+    def __enter__(self) -> Self:
+        threading.Thread(target=self._accept, daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for each in (self._server, *self.ends):
+            with contextlib.suppress(OSError):
+                each.shutdown(socket.SHUT_RDWR)
+            each.close()
+
+    def lose(self) -> None:
+        """Everything that is connected now is out of reach for ever; whoever connects anew is not."""
+        for each in self._carries:
+            each.clear()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._server.accept()
+                far = socket.create_connection(("127.0.0.1", self._page))
+                carries = threading.Event()
+                carries.set()
+                self.ends += [near, far]
+                self._carries.append(carries)
+                for pair in ((near, far), (far, near)):
+                    threading.Thread(target=self._carry, args=(*pair, carries), daemon=True).start()
+
+    @staticmethod
+    def _carry(source: socket.socket, target: socket.socket, carries: threading.Event) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65_536):
+                if carries.is_set():
+                    target.sendall(data)
+            if carries.is_set():
+                target.shutdown(socket.SHUT_WR)
+
+
+def test_a_phone_that_was_out_of_reach_is_back_when_it_is_looked_at(browser: Any, walking: Flown) -> None:
+    """Its line has died without a word: no browser notices that by itself for minutes."""
+    with Air(walking.page.port) as air:
+        address = f"http://127.0.0.1:{air.port}/#{walking.page.token}"
+        with looking(browser, address, viewport=PHONE) as tab:
+            tab.wait_for_function("() => window.fieldkit.frame && window.fieldkit.mayCommand")
+            air.lose()
+            tab.wait_for_selector("text=NOT THE PRESENT")
+            before = tab.evaluate("() => [window.fieldkit.frame.t_s, window.fieldkit.tracks.r1.length]")
+            tab.evaluate("() => dispatchEvent(new Event('online'))")
+            tab.wait_for_function("(t_s) => window.fieldkit.frame.t_s > t_s", arg=before[0])
+            tab.wait_for_selector("#stale", state="hidden")
+            assert tab.evaluate("() => window.fieldkit.tracks.r1.length") >= before[1]
+            tab.locator("#hold-all").click()
+            wait_until(lambda: walking.asked("hold"))

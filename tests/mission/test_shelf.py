@@ -2,6 +2,7 @@
 
 import json
 import os
+import socket
 import sys
 from collections.abc import Iterator
 from functools import partial
@@ -71,6 +72,19 @@ def test_what_is_posted_is_refused_in_words(page: Page) -> None:
     for body in (*ODD_POSTS, b'"' + b"x" * LONGEST_QUESTION + b'"'):
         status, text = said(f"{page.address}runs/open", body)
         assert status == 400 and json.loads(text)["error"], body[:40]
+
+
+def test_whoever_goes_in_the_middle_of_a_question_says_nothing_in_the_terminal(
+    page: Page, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.create_connection((page.host, page.port)) as asking:
+        head = f"POST /runs/open HTTP/1.1\r\nHost: {page.host}:{page.port}\r\nContent-Length: 1000\r\n\r\n"
+        asking.sendall(head.encode() + b'{"name":')
+    assert said(f"{page.address}runs/list")[0] == 200
+    monkeypatch.setattr(Shelf, "rows", lambda self: 1 / 0)  # a mistake of ours
+    status, text = said(f"{page.address}runs/list")
+    assert status == 500 and "ZeroDivisionError" in text
+    assert [record.exc_info for record in caplog.records if record.levelname == "ERROR"] == [False]
 
 
 def test_the_editors_draft_outlives_whatever_is_posted(tmp_path: Path) -> None:

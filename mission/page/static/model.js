@@ -70,7 +70,10 @@ function unpacked({ data, ...grid }) {
 /** @type {Takers} */
 const take = {
   hello(message) {
+    const same = JSON.stringify(message) === JSON.stringify(model.hello);
     model.hello = message;
+    if (same) return; // on the line again: what is known holds until the history comes
+    model.frame = null;
     model.tracks = Object.fromEntries(message.robots.map((robot) => [robot.name, []]));
     model.series = []; model.detections = []; model.notes = []; model.grids = {};
   },
@@ -116,7 +119,8 @@ const take = {
 
 /** @param {Sent} message */
 export function receive(message) {
-  model.heardAt = performance.now();
+  // These are the server's own words: it answers while the mission is silent too.
+  if (message.kind !== "hello" && message.kind !== "rights" && message.kind !== "past") model.heardAt = performance.now();
   const how = /** @type {((message: Sent) => void) | undefined} */ (take[message.kind]);
   how?.(message);
 }

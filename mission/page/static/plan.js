@@ -12,7 +12,7 @@ import { fillRobots, newRobot, paired, setChoices, setPorts } from "./plan-robot
 /** @typedef {HTMLInputElement | HTMLSelectElement} Input */
 /** @typedef {Record<string, unknown>} Table of the form */
 
-const token = decodeURIComponent(location.hash.slice(1)) || sessionStorage.getItem("token") || "";
+const token = location.hash.slice(1) || sessionStorage.getItem("token") || "";
 sessionStorage.setItem("token", token);
 const headers = { authorization: `Bearer ${token}` };
 if (location.hash) history.replaceState(null, "", location.pathname); // not in screenshots

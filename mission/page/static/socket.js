@@ -4,6 +4,10 @@ import { model, receive } from "./model.js";
 /** @import { Answer, Asked, Command, Question, Sent } from "./protocol" */
 /** @typedef {Pick<Answer, "ok" | "text">} Outcome of a command, answered or not */
 
+const AGAIN_MS = 1000;
+const OPENS_MS = 5000; // a phone that comes back into reach would else wait minutes for the attempt of before
+const SILENT_MS = 10000; // frames come twice a second: the line may have died without a word
+const WOKEN_MS = 2500; // the same for whoever has just unlocked a phone
 const token = sessionToken();
 /** @type {WebSocket | null} */
 let socket = null;
@@ -12,7 +16,7 @@ let number = 0;
 const waiting = new Map();
 
 function sessionToken() {
-  const given = decodeURIComponent(location.hash.slice(1));
+  const given = location.hash.slice(1);
   if (given) {
     sessionStorage.setItem("token", given);
     history.replaceState(null, "", location.pathname); // not in screenshots, not in the address bar
@@ -30,13 +34,36 @@ function send(message) {
 
 /** @param {(message: Sent) => void} onMessage @param {() => void} onState */
 export function connect(onMessage, onState) {
-  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
-  socket.onopen = () => {
+  const line = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  socket = line;
+  const begunAt = performance.now();
+  /** @param {number} silent_ms */
+  const isDead = (silent_ms) => {
+    const opens = line.readyState === WebSocket.CONNECTING;
+    const flies = model.hello?.live && model.frame && !model.frame.end;
+    return performance.now() - Math.max(begunAt, opens ? 0 : model.heardAt) > (opens ? OPENS_MS : flies ? silent_ms : Infinity);
+  };
+  /** @param {number} after_ms */
+  const again = (after_ms) => {
+    clearInterval(watching);
+    for (const event of ["online", "visibilitychange"]) removeEventListener(event, woken, true);
+    line.onopen = line.onmessage = line.onclose = null; // a dead line says so minutes later
+    line.close();
+    model.connected = false;
+    for (const settle of waiting.values()) settle({ ok: false, text: "the connection was lost" });
+    waiting.clear();
+    onState();
+    setTimeout(() => connect(onMessage, onState), after_ms);
+  };
+  const woken = () => { if (!document.hidden && isDead(WOKEN_MS)) again(0); };
+  const watching = setInterval(() => { if (isDead(SILENT_MS)) again(0); }, AGAIN_MS);
+  for (const event of ["online", "visibilitychange"]) addEventListener(event, woken, true);
+  line.onopen = () => {
     model.connected = true;
     if (token) send({ kind: "token", token });
     onState();
   };
-  socket.onmessage = (event) => {
+  line.onmessage = (event) => {
     /** @type {Sent} */
     const message = JSON.parse(event.data);
     if (message.kind === "answer") {
@@ -48,13 +75,7 @@ export function connect(onMessage, onState) {
     receive(message);
     onMessage(message);
   };
-  socket.onclose = () => {
-    model.connected = false;
-    for (const settle of waiting.values()) settle({ ok: false, text: "the connection was lost" });
-    waiting.clear();
-    onState();
-    setTimeout(() => connect(onMessage, onState), 1000);
-  };
+  line.onclose = () => again(AGAIN_MS);
 }
 
 /** @param {Question} question */

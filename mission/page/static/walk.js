@@ -13,6 +13,7 @@ const arrow = $("walk-arrow", SVGElement);
 const markButton = $("walk-mark", HTMLButtonElement);
 const RECENT = 8; // readings that make a trend
 const MOST_FINDS = 3; // shown on the panel; all of them are under Sources
+const BACK_S = 5; // so much earlier than what was heard last: time has begun anew
 const TURNED_DEG = 20; // less than this off is straight on
 let me = "";
 let heardUpTo = -1;
@@ -60,6 +61,7 @@ export function trend(values) {
 const course = () => model.frame?.robots.find((robot) => robot.name === me)?.heading_deg ?? 0;
 
 function take() {
+  if ((model.frame?.t_s ?? 0) < heardUpTo - BACK_S) [heardUpTo, peak, levels] = [-1, null, []]; // another mission
   for (const heard of model.detections) {
     const dbm = heard.heard_dbm[me];
     if (dbm === undefined || heard.t_s <= heardUpTo) continue;
