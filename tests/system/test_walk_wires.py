@@ -108,7 +108,7 @@ async def test_a_walk_records_what_comes_over_its_wires_though_gpsd_dies_once(
         )  # fmt: skip
         try:
             assert command.stderr is not None
-            said = await asyncio.wait_for(command.stderr.readuntil(b"waiting for me"), 120.0)
+            said = await asyncio.wait_for(command.stderr.readuntil(b"waiting for walker"), 120.0)
             await asyncio.sleep(4.0)
             for number in range(SENDS):
                 heard = wire.hear(-70.0 - number)
