@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class TransientSource:
-    """A transmitter that sends short packets as a Poisson process. `power_db` is relative to the calibrated one."""
+    """A transmitter of short packets, mostly a Poisson process. `power_db` is relative to the calibrated one."""
 
     east_m: float
     north_m: float
@@ -15,6 +15,8 @@ class TransientSource:
     rate_hz: float
     burst_s: tuple[float, float] | None = None
     """It sends only for the first so many seconds of every so many; None: all the time."""
+    beacon: bool = False
+    """It sends once every 1 / `rate_hz` seconds, as beacons do, and not as a Poisson process."""
 
     def sends_at(self, t_s: float) -> bool:
         """Whether it is awake."""
@@ -46,14 +48,21 @@ def random_sources(
 
 
 class Transmissions:
-    """The sources' packets in order of time: each source an independent Poisson process."""
+    """The sources' packets in order of time, each source's independent of the others'."""
 
     def __init__(
         self, sources: list[TransientSource], rng: np.random.Generator, start_s: float = 0.0
     ) -> None:
         self.sources = sources
         self._rng = rng
-        self._next_s = [start_s + rng.exponential(1.0 / s.rate_hz) for s in sources]
+        # Nobody knows where in its period a beacon is.
+        self._next_s = [
+            start_s + (rng.uniform(0.0, 1.0 / s.rate_hz) if s.beacon else self._gap_s(s)) for s in sources
+        ]
+
+    def _gap_s(self, source: TransientSource) -> float:
+        mean_s = 1.0 / source.rate_hz
+        return mean_s if source.beacon else float(self._rng.exponential(mean_s))
 
     def until(self, t_s: float) -> list[tuple[float, TransientSource]]:
         """Transmissions not yet given with time <= `t_s`, in order."""
@@ -64,5 +73,5 @@ class Transmissions:
             if at_s > t_s:
                 break
             due.append((at_s, self.sources[index]))
-            self._next_s[index] = at_s + self._rng.exponential(1.0 / self.sources[index].rate_hz)
+            self._next_s[index] = at_s + self._gap_s(self.sources[index])
         return due

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fieldkit.world.disturbed import NONE, Disturbances, collided, lobe_gain_db, place_at
+from fieldkit.world.sources import TransientSource, Transmissions
 from fieldkit.world.walls import Wall, random_walls, walls_loss_db
 from mission.lab.study import world
 
@@ -36,6 +37,17 @@ def test_one_that_walks_goes_straight_and_stays_in_the_field() -> None:
     before, after = (np.array(place_at((12.0, 12.0), 0, t, 25.0, carried, 7)) for t in (99.0, 100.0))
     assert np.hypot(*(after - before)) == pytest.approx(5.0)
     assert place_at((12.0, 12.0), 0, 50.0, 25.0, NONE, 7) == (12.0, 12.0)
+
+
+def test_a_beacon_sends_once_a_period_from_anywhere_in_it() -> None:
+    beacon = TransientSource(1.0, 1.0, 0.0, 0.1, beacon=True)
+    first_s = []
+    for seed in range(200):
+        sent = [t_s for t_s, _ in Transmissions([beacon], np.random.default_rng(seed)).until(100.0)]
+        assert len(sent) == 10
+        np.testing.assert_allclose(np.diff(sent), 10.0)
+        first_s.append(sent[0])
+    assert min(first_s) < 0.5 and max(first_s) > 9.5 and abs(np.mean(first_s) - 5.0) < 0.7
 
 
 def test_a_lobe_is_seen_from_all_round() -> None:

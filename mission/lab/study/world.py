@@ -56,6 +56,8 @@ class Scenario:
     rates: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """Of the reference rate."""
     burst_s: tuple[float, float] | None = None
+    beacons: bool = False
+    """Sources send with a fixed period."""
 
 
 SCENARIOS = (
@@ -66,6 +68,7 @@ SCENARIOS = (
         "one false packet a minute at two robots", Disturbances(foreign_hz=1.0 / 60.0, foreign_robots=2)
     ),
     Scenario("an insensitive receiver", Disturbances(insensitive=(2,))),
+    Scenario("beacons with a fixed period", beacons=True),
     Scenario("bursts", burst_s=(60.0, 660.0), rates=(20.0, 20.0, 20.0, 20.0)),
     Scenario("rates 100 times apart", rates=(20.0, 20.0, 0.2, 0.2)),
     Scenario("a walk of 0.05 m/s", Disturbances(walk_m_s=0.05)),
@@ -107,7 +110,7 @@ class Job:
         if what.power_over_db:
             placed = [replace(each, power_db=float(rng.uniform(-what.power_over_db, 0.0))) for each in placed]
         return tuple(
-            replace(each, rate_hz=RATE_HZ * factor, burst_s=what.burst_s)
+            replace(each, rate_hz=RATE_HZ * factor, burst_s=what.burst_s, beacon=what.beacons)
             for each, factor in zip(placed, what.rates, strict=True)
         )
 
