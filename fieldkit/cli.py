@@ -40,7 +40,8 @@ def _root(
     console.be_quiet(quiet)
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING,
-        format="%(asctime)s %(levelname)s %(name)s: %(message)s",
+        format=f"%(asctime)s %(levelname)s{' %(name)s' if verbose else ''}: %(message)s",
+        datefmt=None if verbose else "%H:%M:%S",
         handlers=[console.StderrHandler()],
     )
 

@@ -20,7 +20,7 @@ from drivers.lines.sources import open_source
 from drivers.links import ByteLink, arrival_ns
 from drivers.options import checked
 from drivers.timebase import DeviceStamps
-from fieldkit.errors import ConfigError
+from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.messages import Pose
 from fieldkit.ports import DriverContext
 
@@ -122,7 +122,13 @@ class GnssSource:
         where, _, _ = port.removeprefix("gpsd://").partition("/")
         if ":" not in where:
             where = f"{where or '127.0.0.1'}:{GPSD_PORT}"
-        link = open_source(f"socket://{where}", self._options.baud, name, from_start=False, tap=shown)
+        try:
+            link = open_source(f"socket://{where}", self._options.baud, name, from_start=False, tap=shown)
+        except DeviceError as error:
+            why = getattr(error.__cause__, "strerror", None) or str(error.__cause__ or error)
+            raise DeviceError(
+                f"{name}: {port}: {why[:1].lower()}{why[1:]}; is gpsd running there? It serves other computers with -G"
+            ) from error
         link.write(WATCH)
         return link
 
@@ -170,6 +176,7 @@ class _Followed:
         self, robot: str, port: str, source: GnssSource, options: GnssOptions, around: DriverContext
     ) -> None:
         self._robot, self._source, self._around = robot, source, around
+        self._port, self._baud = port, options.baud
         device = port.removeprefix("gpsd://").partition("/")[2]
         is_gpsd = port.startswith("gpsd://")
         self._reader: NmeaReader | GpsdReader = (
@@ -193,7 +200,8 @@ class _Followed:
                 sentences, heard_s = self._reader.sentences, now_s
             elif now_s - heard_s > NO_SENTENCE_S:
                 came = f"{self._reader.damaged} damaged sentences" if self._reader.damaged else "nothing"
-                self._source.note(self._robot, f"{came} came for {NO_SENTENCE_S:g} s; is `baud` right?")
+                why = f"{came} came for {NO_SENTENCE_S:g} s; {_remedy(self._port, self._baud)}"
+                self._source.note(self._robot, why)
 
     def _take(self, fix: Fix, now_s: float, t_ns: int) -> None:
         why = self._judge.doubt(fix, now_s)
@@ -210,3 +218,15 @@ class _Followed:
         self._source.put(
             Pose(stamp_ns, self._robot, east_m, north_m, up_m, self._heading_deg, fix.sigma_m or 0.0, "gnss")
         )
+
+
+def _remedy(port: str, baud: int) -> str:
+    """What to look at where no sentence comes."""
+    scheme, separator, _ = port.partition("://")
+    if scheme == "gpsd":
+        return "has gpsd a receiver that is plugged in?"
+    if scheme in ("udp", "tcp"):
+        return "does it send to an address of this computer, and to this port?"
+    return (
+        "does it send NMEA?" if separator else f"does it send NMEA at {baud} baud? `baud` sets another rate"
+    )

@@ -110,6 +110,9 @@ def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
         # First of all what was found: nothing that fails below may keep it from the operator.
         typer.echo(f"ended: {runner.end_reason}")
         sources_table(finds, runner.kernel.detections)
+        for robot in runner.safety.robots.values():
+            if robot.radio_why:
+                say(f"{robot.name}: its radio was down at the end: {robot.radio_why}", always=True)
     if runner.recorder.failure:
         say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above", always=True)
     try:

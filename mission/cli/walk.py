@@ -191,6 +191,12 @@ def _round_here(options: "WalkOptions", beside: Path) -> "Mission":
 
 def _receiver(words: str) -> dict[str, Any]:
     """A receiver's table from `xbee:PORT`, `PORT[,MAP]` of a radio that prints, or a file. Raises `ConfigError`."""
+    from fieldkit.errors import ConfigError
+
+    if words == "xbee:" or words.startswith(","):
+        raise ConfigError(
+            f"--receiver {words}: expected a port, as in xbee:/dev/ttyUSB0 or /dev/ttyUSB0,rylr"
+        )
     if words.startswith("xbee:"):
         return {"driver": "xbee", "port": words.removeprefix("xbee:")}
     if words.endswith(".toml"):

@@ -106,6 +106,8 @@ class Robot(TypedDict):
     text: str
     """The vehicle's own last words."""
     radio_up: bool
+    radio_why: str
+    """What its receiver says of being down: whoever carries it can mend that."""
     ordered: str
     """A standing order of the operator's, or safety's "withdraw"."""
     call: str

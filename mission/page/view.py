@@ -379,6 +379,7 @@ class View:
             else round(margin_m(robot.place_m, self.mission.fence_m), 2),
             "text": "" if vehicle is None else vehicle.text,
             "radio_up": robot.radio_down_ns is None,
+            "radio_why": robot.radio_why,
             "ordered": robot.ordered,
             "call": self._calls.get(name, ""),
             "doing": self._doing.get(name, ""),

@@ -71,6 +71,8 @@ class Watched:
     ordered: str = ""
     """A standing order that only the operator lifts: "hold", "return", "release" or "withdraw"."""
     radio_down_ns: int | None = None
+    radio_why: str = ""
+    """What its receiver says of being down."""
     jumped_ns: int = LONG_AGO_NS
     held_ns: int = LONG_AGO_NS
     troubled_ns: int | None = None
@@ -273,6 +275,7 @@ class Watched:
 
     def hear(self, state: ReceiverState) -> None:
         """Its radio came up or went down."""
+        self.radio_why = "" if state.up else state.reason
         if state.up:
             self.radio_down_ns = None
         elif self.radio_down_ns is None:

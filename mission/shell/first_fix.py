@@ -7,6 +7,7 @@ from fieldkit.clock import RealClock
 from fieldkit.errors import DeviceTimeout
 from fieldkit.geo import FieldFrame
 from fieldkit.ports import DriverContext
+from fieldkit.settings import WALKER
 
 NEARBY_DEG = 0.01
 
@@ -16,7 +17,7 @@ async def first_fix(port: str, patience_s: float) -> tuple[float, float]:
     # A local frame needs an origin; any does for reading a latitude and longitude back out of it.
     frame = FieldFrame(0.0, 0.0)
     source = plugins.load("fieldkit.positions", "gnss")(
-        {"robots": {"me": port}}, DriverContext(RealClock(), frame)
+        {"robots": {WALKER: port}}, DriverContext(RealClock(), frame)
     )
     try:
         async with asyncio.timeout(patience_s), source as opened:
@@ -24,7 +25,7 @@ async def first_fix(port: str, patience_s: float) -> tuple[float, float]:
                 lat_deg, lon_deg, _ = frame.to_geodetic(pose.east_m, pose.north_m, pose.up_m)
                 return lat_deg, lon_deg
     except TimeoutError:
-        why = source.absent.get("me", "nothing came")
+        why = source.absent.get(WALKER, "nothing came")
         raise DeviceTimeout(
             f"{port}: no position within {patience_s:.0f} s ({why}); go where the sky is free"
         ) from None

@@ -1,13 +1,15 @@
 """What devices say, as events. A device that fails is a fact for the mission, not its end."""
 
 import logging
-from collections.abc import AsyncIterator, Callable, Container, Iterable
+import re
+from collections.abc import AsyncIterator, Container, Iterable
 from dataclasses import replace
 
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError
 from fieldkit.messages import Event, Pose, ReceiverState, VehicleState
 from fieldkit.ports import PositionSource, Receiver, VehicleLink
+from mission.shell.dispatcher import Note
 
 logger = logging.getLogger(__name__)
 
@@ -20,7 +22,7 @@ def streams_of(
     links: Iterable[VehicleLink],
     positions: Iterable[PositionSource],
     clock: Clock,
-    note: Callable[[str, str], None],
+    note: Note,
     flying: Container[str] = (),
 ) -> list[tuple[str, AsyncIterator[Event]]]:
     """Every device's events, with its name. A robot that another source places has no poses from its link.
@@ -29,16 +31,22 @@ def streams_of(
     """
     sources = tuple(positions)
     placed = {robot for source in sources for robot in source.robots}
-    streams = [(f"receiver {r.robot}", from_receiver(r, clock)) for r in receivers]
+    streams = [(f"receiver {r.robot}", from_receiver(r, clock, note)) for r in receivers]
     streams += [(f"link {' '.join(link.robots)}", from_link(link, clock, placed)) for link in links]
     streams += [(f"positions {' '.join(p.robots)}", from_positions(p, note, flying)) for p in sources]
     return streams
 
 
-async def from_receiver(receiver: Receiver, clock: Clock) -> AsyncIterator[Event]:
-    """A receiver that fails is down."""
+async def from_receiver(receiver: Receiver, clock: Clock, note: Note) -> AsyncIterator[Event]:
+    """A receiver that fails is down. Why one is down is said, once for each reason: somebody can mend that."""
+    why = ""
     try:
         async for reading in receiver.readings():
+            if isinstance(reading, ReceiverState) and not reading.up:
+                before, why = why, re.sub(r"\d+", "", reading.reason)  # for how long is no new reason
+                if why != before:
+                    logger.warning("%s: radio down: %s", receiver.robot, reading.reason)
+                    note("warning", f"{receiver.robot}: radio down: {reading.reason}")
             yield reading
     except DeviceError as error:
         logger.warning("%s: receiver: %s", receiver.robot, error)
@@ -61,7 +69,7 @@ async def from_link(link: VehicleLink, clock: Clock, placed: Container[str]) -> 
 
 
 async def from_positions(
-    source: PositionSource, note: Callable[[str, str], None], flying: Container[str] = ()
+    source: PositionSource, note: Note, flying: Container[str] = ()
 ) -> AsyncIterator[Event]:
     """A source that fails leaves its robots without a position: safety holds them."""
     try:

@@ -225,7 +225,8 @@ class Runner:
         self.put(Operator(self.setup.clock.now_ns(), "end", None, f"interrupted ({name})"))
 
     def _signalled_again(self) -> None:
-        waits = [f"{name} to hold" for name in self.dispatcher.unconfirmed()]
+        people = self.mission.safety.on_foot  # they stop by themselves: nobody waits for them
+        waits = [f"{name} to hold" for name in self.dispatcher.unconfirmed() if name not in people]
         waits += [f"{name} to land" for name in (self._landing.aloft() if self._over_reason else ())]
         self._say(
             f"still waiting for {', '.join(waits) or 'the recording to close'}. Once more leaves at once"

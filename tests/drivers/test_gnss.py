@@ -19,7 +19,7 @@ from drivers.emulators.wires import PtyWire
 from drivers.gnss.fixes import FROZEN_S, SETTLED, Fix, FixJudge, distance_m
 from drivers.gnss.gpsd import GpsdReader
 from drivers.gnss.nmea import NmeaReader
-from drivers.gnss.source import open_gnss
+from drivers.gnss.source import _remedy, open_gnss
 from fieldkit.clock import RealClock
 from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.geo import FieldFrame
@@ -310,9 +310,24 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, Any], says: s
 
 
 async def test_no_receiver_is_an_error_that_says_what_to_try(unused_tcp_port: int) -> None:
-    with pytest.raises(DeviceError, match="connection refused"):
+    with pytest.raises(
+        DeviceError, match=r"gpsd://127\.0\.0\.1:\d+: connection refused; is gpsd running there"
+    ):
         async with following(robots={"ada": f"gpsd://127.0.0.1:{unused_tcp_port}"}):
             pass
+
+
+@pytest.mark.parametrize(
+    ("port", "says"),
+    [
+        ("udp://0.0.0.0:10110", "an address of this computer"),
+        ("gpsd://pi", "has gpsd a receiver"),
+        ("socket://pi:5000", "send NMEA?"),
+        ("/dev/ttyACM0", "at 9600 baud"),
+    ],
+)
+def test_what_to_look_at_where_nothing_comes_depends_on_whence_it_should(port: str, says: str) -> None:
+    assert says in _remedy(port, 9600)
 
 
 def test_the_emulated_gpsd_reports_as_the_manual_does() -> None:

@@ -74,6 +74,9 @@ def test_a_frame_says_how_each_robot_is(tmp_path: Path) -> None:
     )
     assert (robot["pose_age_s"], robot["link_age_s"], robot["fence_m"]) == (3.0, 3.0, 3.0)
     assert (robot["radio_up"], robot["call"], robot["answer"]) == (False, "stuck", "no answer")
+    assert robot["radio_why"] == "unplugged"
+    view.event(7, 3 * S, ReceiverState(3 * S, "r1", True, "plugged in"))
+    assert view.frame()["robots"][0]["radio_why"] == ""
     view.event(7, 3 * S, Operator(3 * S, "resume", "r1"))
     assert view.frame()["robots"][0]["call"] == ""
     assert view.frame()["robots"][1]["east_m"] is None

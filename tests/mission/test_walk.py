@@ -17,8 +17,19 @@ from fieldkit.channel.antenna_file import dump_antenna
 from fieldkit.cli import build
 from fieldkit.clock import RealClock, VirtualClock
 from fieldkit.errors import ConfigError
-from fieldkit.messages import Event, GoTo, Hold, Operator, Pose, Tick, VehicleState, Waypoint
-from fieldkit.ports import PositionSource
+from fieldkit.messages import (
+    Event,
+    GoTo,
+    Hold,
+    Operator,
+    Pose,
+    ReceiverState,
+    RssReading,
+    Tick,
+    VehicleState,
+    Waypoint,
+)
+from fieldkit.ports import PositionSource, Receiver
 from fieldkit.settings import WALKER
 from fieldkit.world.walker import Walker, WanderingError, body_loss_db
 from mission.cli.walk import _receiver
@@ -232,6 +243,23 @@ async def test_a_height_above_the_sea_is_none_above_the_ground_for_those_who_wal
     ]
 
 
+async def test_why_a_radio_is_down_is_said_once_for_each_reason(caplog: pytest.LogCaptureFixture) -> None:
+    class Radio:
+        robot = "ada"
+
+        async def readings(self) -> AsyncIterator[RssReading | ReceiverState]:
+            for up, reason in ((True, "opened"), (False, "no line for 5 s"), (True, "lines come again"),
+                               (False, "no line for 6 s"), (False, "its lines are no readings: 'S=7'")):  # fmt: skip
+                yield ReceiverState(S, self.robot, up, reason)
+
+    notes: list[str] = []
+    radio = cast(Receiver, Radio())
+    (stream,) = streams_of((radio,), (), (), RealClock(), lambda level, text: notes.append(text))
+    assert len([event async for event in stream[1]]) == 5
+    assert notes == ["ada: radio down: no line for 5 s", "ada: radio down: its lines are no readings: 'S=7'"]
+    assert [record.getMessage() for record in caplog.records] == notes
+
+
 def test_a_drone_placed_by_satellites_needs_to_know_how_high_its_field_lies() -> None:
     walk = walk_mission(3)
     flown = replace(walk, safety=replace(walk.safety, altitude_m={WALKER: 10.0}))
@@ -292,6 +320,7 @@ def test_a_walk_that_found_nothing_counts_as_longer_than_all_others() -> None:
         ),
         ([*DEVICES, "--background", "none.png"], "--background none.png: no such file"),
         ([*DEVICES, "--receiver", "x,nobody"], "(lines): option 'map': expected one of json"),
+        ([*DEVICES, "--receiver", ",rylr"], "--receiver ,rylr: expected a port, as in"),
         ([*DEVICES, "--cot", "nonsense"], "maps.cot: expected udp://HOST:PORT"),
         ([*DEVICES, "--name", ""], "robot.0.name: string should have at least 1"),
         (

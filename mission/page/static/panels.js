@@ -89,12 +89,15 @@ function makeAct(robot, action, words) {
   return button;
 }
 
+/** @param {Robot} robot */
+export const radioDown = ({ radio_why }) => (radio_why ? `radio down: ${radio_why}` : "radio down");
+
 /** @param {Card} part @param {Robot} robot */
 function fillCard(part, robot) {
   const lost = !robot.link_up;
   const standing = robot.ordered === "release" ? "released" : robot.ordered === "withdraw" ? "withdrawn" : "";
   set(part.mode, lost ? "link lost" : standing || robot.mode, `mode ${lost ? "lost" : robot.mode}`);
-  set(part.doing, robot.radio_up ? robot.doing : "radio down");
+  set(part.doing, robot.radio_up ? robot.doing : radioDown(robot));
   part.doing.classList.toggle("bad", !robot.radio_up);
   set(part.call, robot.call);
   part.call.hidden = !robot.call;

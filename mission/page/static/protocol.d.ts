@@ -381,6 +381,8 @@ export interface Robot {
   /** The vehicle's own last words. */
   text: string;
   radio_up: boolean;
+  /** What its receiver says of being down: whoever carries it can mend that. */
+  radio_why: string;
   /** A standing order of the operator's, or safety's "withdraw". */
   ordered: string;
   /** Why it needs the operator. */

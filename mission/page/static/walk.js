@@ -3,6 +3,7 @@
 import { isOld, model, placeOf } from "./model.js";
 import { press, notice } from "./commands.js";
 import { $, element, find } from "./dom.js";
+import { radioDown } from "./panels.js";
 import { heardWhileTurning } from "./turn.js";
 import { showWhere } from "./where.js";
 
@@ -123,20 +124,20 @@ export function walk() {
   if (!mine) return;
   const here = isOld(mine) ? null : placeOf(mine);
   const heading_deg = mine.heading_deg ?? 0;
+  const silent = !mine.radio_up;
   const goal = mine.mode === "guided" ? mine.target_m : null;
   arrow.style.opacity = here && goal && !model.frame.end ? "1" : "0";
   if (model.frame.end) { set("walk-go", "The walk is over"); set("walk-why", model.frame.end); }
   else if (!here) { set("walk-go", "No position"); set("walk-why", "go where the sky is free"); }
-  else if (!goal) { set("walk-go", "Stay here"); set("walk-why", mine.why || mine.mode); }
+  else if (!goal) { set("walk-go", "Stay here"); set("walk-why", silent ? radioDown(mine) : mine.why || mine.mode); }
   else {
     const [east, north] = [goal[0] - here[0], goal[1] - here[1]];
     const bearing = (Math.atan2(east, north) * 180) / Math.PI;
     arrow.style.transform = `rotate(${bearing - heading_deg}deg)`;
     set("walk-go", `${Math.round(Math.hypot(east, north))} m, ${turn(bearing, heading_deg)}`);
-    set("walk-why", mine.doing.startsWith("resolve") ? "to pin down what was heard" : "to listen where nobody has");
+    set("walk-why", silent ? radioDown(mine) : mine.doing.startsWith("resolve") ? "to pin down what was heard" : "to listen where nobody has");
   }
   showFinds(here, heading_deg);
-  const silent = !mine.radio_up;
   const latest = levels.at(-1);
   set("walk-now", silent ? "radio down" : latest === undefined ? "silence" : `${Math.round(latest)} dBm`);
   set("walk-peak", peak === null ? "–" : `${Math.round(peak)} dBm`);
