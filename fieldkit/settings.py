@@ -134,6 +134,15 @@ ELLIPSE_90 = 2.146
 
 COT_EVERY_S = Quantity(5.0, 0.2, 600.0, "s", "time between two tellings of everything by Cursor on Target")
 
+# -- robots without a common computer ------------------------------------------------------------------------
+
+AGENT_BYTES_S = Quantity(1_400.0, 100.0, 1e6, "B/s", "what one robot's agent sends at the most")
+"""Four of them fit on a telemetry radio of 57.6 kbit/s."""
+AGENT_ABSENT_S = 12.0
+"""A robot of which nothing is known for so long is out of contact: the others plan on without its word."""
+AGENT_WAIT_S = 60.0
+"""At the start an agent waits so long for robots of which nothing is heard, then goes on without them."""
+
 # -- the end -------------------------------------------------------------------------------------------------
 
 MAX_DURATION_S = positive(3_600.0, 30 * 86_400.0, "s", "longest duration of a mission")

@@ -4,6 +4,7 @@
 generators, so feeding a recorded inbox gives the same belief and the same commands, bit for bit.
 """
 
+import copy
 import hashlib
 import struct
 from collections import Counter, deque
@@ -130,6 +131,11 @@ class Kernel:
     def legs_timed_out(self) -> Counter[str]:
         """Robot to how many of its legs ended by time-out, not at their way-points."""
         return self.tasks.timed_out
+
+    def copy(self) -> "Kernel":
+        """The same state once more, to go its own way; only the settings, which never change, are shared."""
+        shared = {id(each): each for each in (self.settings, self.settings.engine)}
+        return copy.deepcopy(self, {**shared, id(self._commands_digest): self._commands_digest.copy()})
 
     def digest(self) -> str:
         """Hex digest of the belief."""

@@ -93,7 +93,7 @@ def simulate(
     """
     kernel = Kernel(settings)
     grid = settings.engine.grid
-    world = _World(settings.engine.robots, truth, seed, step_s, settings.altitude_m, grid.size_east_m)
+    world = SimulatedWorld(settings.engine.robots, truth, seed, step_s, settings.altitude_m, grid.size_east_m)
     covered_at: dict[int, float] = {}
     inbox: list[Event] = [VehicleState(0, robot, "guided", True) for robot in settings.engine.robots]
     end_reason = ""
@@ -105,7 +105,7 @@ def simulate(
             for command in commands:
                 end_reason = world.obey(command) or end_reason
             if outcome.detections:
-                _cover(kernel, truth, world.t_s, covered_at)
+                note_covered(kernel, truth, world.t_s, covered_at)
         inbox = []
         world.drive()
         open_ended = settings.sources_expected is None and settings.stop_probability_left is None
@@ -116,7 +116,7 @@ def simulate(
     return Result(kernel, world.t_s, end_reason, time_to_all_s, count_false(kernel, truth))
 
 
-class _World:
+class SimulatedWorld:
     """What is true: rovers, transmissions, and the errors of clocks and positions."""
 
     def __init__(
@@ -258,7 +258,7 @@ class _World:
         return {robot: (rover.east_m, rover.north_m) for robot, rover in self.rovers.items()}
 
 
-def _cover(kernel: Kernel, truth: Truth, t_s: float, covered_at: dict[int, float]) -> None:
+def note_covered(kernel: Kernel, truth: Truth, t_s: float, covered_at: dict[int, float]) -> None:
     """Note which sources have a find within one cell now; one that has lost its find is uncovered again."""
     cell = kernel.settings.engine.grid.cell_m
     found = [(s.east_m, s.north_m) for s in kernel.sources() if s.state == "found"]

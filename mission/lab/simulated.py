@@ -10,15 +10,15 @@ import numpy as np
 
 from fieldkit.engine.belief.base import Belief
 from fieldkit.errors import ConfigError
-from fieldkit.messages import Command, Event, SourceEstimate, Tick
+from fieldkit.messages import Command, Event, SourceEstimate
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.sources import TransientSource, random_sources
-from mission.core.kernel import Kernel, Outcome, state_digest
+from mission.core.kernel import Kernel, Outcome
 from mission.core.mission_file import Mission
 from mission.lab.simulate import Result, Truth
 from mission.lab.simulate import simulate as run_loop
 from mission.safety.rules import Safety
-from mission.shell.recorder import MissionRecorder
+from mission.shell.chronicle import Chronicle
 from mission.shell.setups import radio_of, start_places
 
 
@@ -148,7 +148,7 @@ def fly_simulated(
                 frame=mission.frame,
             )
         )
-        steps = _Recorded(mission, safety, writer)
+        steps = _Recorded(safety, writer)
         result = run_loop(mission.kernel, truth, seed, on_step=steps)
         steps.end(result)
     return result
@@ -170,46 +170,16 @@ def _safely(safety: Safety) -> Callable[[Kernel, Event, Outcome], Iterable[Comma
 class _Recorded:
     """Sees every step, has safety judge it, and writes both down."""
 
-    def __init__(self, mission: Mission, safety: Safety, writer: RecordingWriter) -> None:
-        self._mission, self._safety, self._writer = mission, safety, writer
-        self._number = 0
-        self._records: MissionRecorder | None = None
+    def __init__(self, safety: Safety, writer: RecordingWriter) -> None:
+        self._safety, self._writer = safety, writer
+        self._chronicle: Chronicle | None = None
 
     def __call__(self, kernel: Kernel, event: Event, outcome: Outcome) -> list[Command]:
-        if self._records is None:
-            self._records = MissionRecorder(kernel, self._mission.kernel.engine.grid.cell_m, self._writer)
-        records = self._records
-        self._number += 1
-        number, t_ns = self._number, event.t_ns
-        records.event(number, t_ns, event)
-        allowed = self._safety.observe(event)
-        for command in allowed:
-            records.command(number, t_ns, command, "safety")
-        for asked, passed in zip(outcome.commands, self._safety.judge(outcome.commands), strict=True):
-            records.command(number, t_ns, asked, "kernel")
-            records.command(number, t_ns, passed, "safety")
-            allowed.append(passed)
-        records.outcome(number, t_ns, outcome)
-        if isinstance(event, Tick) and (look := records.look_if_due(t_ns)) is not None:
-            records.belief(number, t_ns, look)
-        return allowed
+        if self._chronicle is None:
+            self._chronicle = Chronicle(kernel, self._safety, self._writer)
+        return self._chronicle.step(event.t_ns, event, outcome)
 
     def end(self, result: Result) -> None:
         """Write how it went."""
-        end_ns = round(result.elapsed_s * 1e9)
-        assert self._records is not None  # a mission has events
-        self._records.end(self._number, end_ns)
-        self._writer.result(
-            self._number,
-            end_ns,
-            {
-                "end_reason": result.end_reason,
-                "belief_hash": result.kernel.digest(),
-                "commands_hash": result.kernel.commands_digest(),
-                "state_hash": state_digest(result.kernel),
-                "events": self._number,
-                "detections": result.kernel.detections,
-                "found_at_s": {str(ident): at_s for ident, at_s in result.kernel.found_at_s.items()},
-                "interventions": self._safety.interventions,
-            },
-        )
+        assert self._chronicle is not None  # a mission has events
+        self._chronicle.end(round(result.elapsed_s * 1e9), result.end_reason)

@@ -60,7 +60,7 @@ class MissionRecorder:
     """Writes what happens to all followers."""
 
     def __init__(self, kernel: Kernel, cell_m: float, *followers: Follower) -> None:
-        self._kernel = kernel
+        self.kernel = kernel
         self._cell_m = cell_m
         self._followers = followers
         self._last_look_s = -BELIEF_EVERY_S
@@ -99,7 +99,7 @@ class MissionRecorder:
                 follower.plan(number, t_ns, outcome.plan)
         if outcome.detections:
             self._sources(number, t_ns)
-            digest = self._kernel.digest()
+            digest = self.kernel.digest()
             for follower in self._followers:
                 follower.belief(number, t_ns, digest=digest)
         if outcome.notes:
@@ -110,13 +110,13 @@ class MissionRecorder:
         if self._look_took_s > LONGEST_LOOK_S:
             return None
         every_s = max(BELIEF_EVERY_S, self._look_took_s / LOOK_SHARE)
-        return self.look(t_ns) if self._kernel.elapsed_s(t_ns) - self._last_look_s >= every_s else None
+        return self.look(t_ns) if self.kernel.elapsed_s(t_ns) - self._last_look_s >= every_s else None
 
     def look(self, t_ns: int) -> Look:
         """The whole belief now."""
-        self._last_look_s, began_s = self._kernel.elapsed_s(t_ns), wall_s()
-        belief = self._kernel.belief
-        look = Look(belief.presence(), belief.probability_left(), self._kernel.digest())
+        self._last_look_s, began_s = self.kernel.elapsed_s(t_ns), wall_s()
+        belief = self.kernel.belief
+        look = Look(belief.presence(), belief.probability_left(), self.kernel.digest())
         self._look_took_s = wall_s() - began_s
         return look
 
@@ -139,6 +139,6 @@ class MissionRecorder:
         self._sources(number, t_ns)
 
     def _sources(self, number: int, t_ns: int) -> None:
-        sources = self._kernel.sources()
+        sources = self.kernel.sources()
         for follower in self._followers:
             follower.sources(number, t_ns, sources)

@@ -1,5 +1,6 @@
 """Rows of unlike sizes in one array: what is held stays as it was put in, what is not held makes room."""
 
+import copy
 import gc
 import itertools
 
@@ -46,6 +47,17 @@ def test_a_view_outlives_the_move_of_its_row() -> None:
     assert (view == np.arange(10.0)).all()
     assert (row.array == view).all()
     assert len(others) == 3
+
+
+def test_a_copy_moves_its_own_rows_and_no_others() -> None:
+    arena = Arena()
+    dropped, row = arena.put(np.zeros(100)), arena.put(np.arange(10.0))
+    twin, twins_row = copy.deepcopy((arena, row))
+    del dropped
+    twin.put(np.ones(FIRST_SIZE))  # no room: the copy's rows move
+    assert row.start == 100 and (row.array == np.arange(10.0)).all()
+    assert twins_row.start < 100 and (twins_row.array == row.array).all()
+    assert (twin.values[twins_row.start : twins_row.start + 10] == row.array).all()
 
 
 def test_a_row_cannot_be_written_to() -> None:

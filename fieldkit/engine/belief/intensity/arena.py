@@ -5,7 +5,9 @@ nobody holds any more is reclaimed when the array is full. Rows are never writte
 even when the rows have moved to a new array since.
 """
 
+import copy
 import weakref
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +42,14 @@ class Arena:
         self.values = np.empty(FIRST_SIZE)
         self._rows: list[weakref.ref[Row]] = []
         self._used = 0
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Arena":
+        """With rows of its own: the references alone would lead to the rows of the arena that was copied."""
+        twin = memo[id(self)] = Arena()
+        twin.values, twin._used = self.values.copy(), self._used
+        held = [row for row in (each() for each in self._rows) if row is not None]
+        twin._rows = [weakref.ref(copy.deepcopy(row, memo)) for row in held]
+        return twin
 
     def put(self, array: FloatArray) -> Row:
         """A copy of `array`, of any shape, for as long as the row is held."""

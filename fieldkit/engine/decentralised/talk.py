@@ -1,0 +1,291 @@
+"""What one member says to the others, and when: what they lack, the most urgent first, within a budget. Pure.
+
+At every tick a member sends what it has of every log (a table of a few bytes a log), where it is going, and what is new
+in its own logs. Whose table shows that it lacks something gets it again: from the author where it hears that one, else
+from the first by name that it does hear and that has more. So what robots know travels with them, and after a long
+separation the logs fill up at the pace that the budget allows, orders before readings before poses.
+"""
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from fieldkit.engine.decentralised import packing
+from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, TICK_NS, Entry, Key, Logs, Part, Stream
+from fieldkit.engine.decentralised.sealing import OVERHEAD_BYTES, Seal
+from fieldkit.errors import RecordingError
+from fieldkit.messages import Operator, Waypoint
+from fieldkit.settings import AGENT_BYTES_S, TICK_S
+
+STATE, PARTS, ORDER = 1, 2, 3
+MESSAGE_BYTES = 1_000
+"""What fits into one datagram on any link."""
+MOST_OF_A_PART = 16
+"""Entries of a part: what is lost of it is sent again whole."""
+HEARS_S = 3.0
+"""A member that was heard no longer ago than this is in range."""
+ROUND_TRIP_S = 1.0
+LONGEST_ROUND_TRIP_S = 20.0
+AGAIN_TRIPS = 0.5
+"""What does not arrive is sent again after so many round trips: less than one, since the second try may be lost too."""
+SAID_AGAIN = 6
+"""Ticks at which an order is said once more: with a third of all messages lost, one in two thousand is then missed."""
+BURST_S = 2.0
+"""What was not used of the budget is kept for so long."""
+SLOW_S, SLOW_TIMES = 2.5, 3
+"""Where a round trip takes longer, what is lost would be missed for long: what is new is said at so many ticks."""
+
+
+@dataclass
+class Peer:
+    """What a member knows of another by its messages."""
+
+    heard_ns: int
+    """When it was last heard, by our clock."""
+    counts: dict[Key, int] = field(default_factory=dict)
+    """How many entries it has of each log, as it last said."""
+    hears: tuple[str, ...] = ()
+    """Whom it hears."""
+    target: Waypoint | None = None
+    """Where it is going."""
+    ahead_s: float = 0.0
+    """How far its clock is ahead of ours, the time on the way left out of account."""
+    round_trips_s: deque[float] = field(default_factory=lambda: deque([ROUND_TRIP_S], maxlen=8))
+    sent: dict[Key, int] = field(default_factory=dict)
+    """Up to which entry each log was sent again to it."""
+    moved_ns: dict[Key, int] = field(default_factory=dict)
+    """When it last had more of a log, or was begun to be sent it again."""
+
+    @property
+    def round_trip_s(self) -> float:
+        return min(self.round_trips_s)
+
+    def said(self, key: Key, count: int, now_ns: int) -> None:
+        """It has so many entries of a log."""
+        if count > self.counts.get(key, 0):
+            self.moved_ns[key] = now_ns
+        self.counts[key] = count
+
+    def next_of(self, key: Key, now_ns: int) -> int:
+        """The entry to go on with: where sending has come to, or anew from what it has where that does not move."""
+        count, waited_s = self.counts.get(key, 0), (now_ns - self.moved_ns.get(key, 0)) * 1e-9
+        if waited_s > AGAIN_TRIPS * self.round_trip_s + 2.0 * TICK_S:
+            self.moved_ns[key], self.sent[key] = now_ns, count
+        return max(count, self.sent.get(key, 0))
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What came of one message."""
+
+    robot: str
+    new: tuple[Entry, ...] = ()
+    """Entries that we did not have."""
+    order: Operator | None = None
+    """What an operator asks for at another member."""
+
+
+@dataclass
+class Talk:
+    """One member's part in the conversation. It owns the logs' way over the air, not what is in them."""
+
+    logs: Logs
+    seal: Seal
+    bytes_s: float = AGENT_BYTES_S.default
+    peers: dict[str, Peer] = field(default_factory=dict)
+    sent: Counter[str] = field(default_factory=Counter)
+    """Bytes sent, by what they were: "state", "new", "again", "order"."""
+    heard_bytes: int = 0
+    refused: int = 0
+    """Messages of members that could not be read."""
+    lost: bool = False
+    """Whether somebody has more of our own logs than we: ours must not go on."""
+    _told: dict[Key, int] = field(default_factory=dict)
+    """How many entries of our own logs have been sent for the first time."""
+    _told_before: deque[dict[Key, int]] = field(default_factory=lambda: deque(maxlen=SLOW_TIMES))
+    """The same before each of the last ticks."""
+    _left: float = 0.0
+    _orders: list[tuple[int, Operator]] = field(default_factory=list)
+
+    # -- in ------------------------------------------------------------------------------------------------
+
+    def take(self, data: bytes, now_ns: int) -> Said | None:
+        """Take in one message; None where it is none of a member's, or one that was heard before."""
+        self.heard_bytes += len(data)
+        opened = self.seal.read(data, now_ns)
+        if opened is None:
+            return None
+        robots = self.logs.robots
+        if opened.sender >= len(robots):
+            self.refused += 1
+            return None
+        name = robots[opened.sender]
+        peer = self.peers.setdefault(name, Peer(now_ns))
+        peer.heard_ns, peer.ahead_s = now_ns, (opened.sent_ns - now_ns) * 1e-9
+        reader = packing.Reader(opened.body)
+        try:
+            tick = reader.uint()
+            if opened.kind == ORDER:
+                t_ns = reader.uint() * STEP_NS
+                return Said(name, order=packing.read_order(reader, t_ns))
+            table = self._read_state(peer, reader, tick) if opened.kind == STATE else {}
+            new = self._read_parts(reader, tick)
+            self._learn(peer, table, now_ns)
+            return Said(name, new)
+        except RecordingError:
+            self.refused += 1
+            return None
+
+    def _read_state(self, peer: Peer, reader: packing.Reader, tick: int) -> dict[Key, tuple[int, int]]:
+        """What it has of each log, and up to which tick that is whole."""
+        robots = self.logs.robots
+        bits = reader.uint()
+        peer.hears = tuple(robot for number, robot in enumerate(robots) if bits >> number & 1)
+        speed = reader.uint()
+        places = (reader.sint() / packing.MM, reader.sint() / packing.MM) if speed else (0.0, 0.0)
+        peer.target = Waypoint(*places, (speed - 1) / packing.MM) if speed else None
+        return {key: (reader.uint(), tick - reader.sint()) for key in self.logs.keys(robots)}
+
+    def _learn(self, peer: Peer, table: dict[Key, tuple[int, int]], now_ns: int) -> None:
+        """Remember what a peer has; after its parts have been taken in, so that what is whole by them counts."""
+        logs = self.logs
+        for key, (count, closed) in table.items():
+            peer.said(key, count, now_ns)
+            logs.learn(key, count, closed)
+            self.lost = self.lost or (key[0] == logs.me and logs.has_begun and count > len(logs.entries[key]))
+        own = table.get((logs.me, Stream.ORDERS))
+        if own is not None and own[1] > NEVER:
+            peer.round_trips_s.append(min(now_ns / 1e9 - own[1] * TICK_S, LONGEST_ROUND_TRIP_S))
+
+    def _read_parts(self, reader: packing.Reader, tick: int) -> tuple[Entry, ...]:
+        new: list[Entry] = []
+        while not reader.is_done:
+            new += self.logs.take(packing.unpack_part(reader, self.logs.robots, tick * TICK_NS))
+        return tuple(new)
+
+    # -- out -----------------------------------------------------------------------------------------------
+
+    def order(self, order: Operator, now_ns: int) -> bytes:
+        """An order as it leaves at once; it is said again with the next ticks."""
+        self._orders.append((SAID_AGAIN, order))
+        return self._write_order(order, now_ns)
+
+    def messages(self, now_ns: int, target: Waypoint | None = None) -> list[bytes]:
+        """What is to be said at this tick, the most urgent first. `target` is where we are going."""
+        orders = [self._write_order(order, now_ns) for _, order in self._orders]
+        self._orders = [(left - 1, order) for left, order in self._orders if left > 1]
+        state = self._state(now_ns, target)
+        self._left = min(self._left + self.bytes_s * TICK_S, self.bytes_s * BURST_S)
+        self._left -= sum(map(len, orders)) + len(state) + OVERHEAD_BYTES
+        self._told_before.append(dict(self._told))
+        bodies = self._fill(state, self._wanted(now_ns), now_ns)
+        first = self.seal.write(STATE, bodies[0], now_ns)
+        self.sent["state"] += len(state) + OVERHEAD_BYTES
+        rest = [self.seal.write(PARTS, body, now_ns) for body in bodies[1:]]
+        return [*orders, first, *rest]
+
+    def in_range(self, now_ns: int) -> list[str]:
+        """Members that are heard."""
+        return [name for name, peer in self.peers.items() if (now_ns - peer.heard_ns) * 1e-9 <= HEARS_S]
+
+    def _write_order(self, order: Operator, now_ns: int) -> bytes:
+        out = packing.Bytes()
+        out.uint(now_ns // TICK_NS)
+        out.uint(order.t_ns // STEP_NS)
+        packing.write_order(out, order)
+        data = self.seal.write(ORDER, bytes(out.data), now_ns)
+        self.sent["order"] += len(data)
+        return data
+
+    def _state(self, now_ns: int, target: Waypoint | None) -> bytes:
+        out, logs, tick = packing.Bytes(), self.logs, now_ns // TICK_NS
+        out.uint(tick)
+        heard = set(self.in_range(now_ns))
+        out.uint(sum((robot in heard) << number for number, robot in enumerate(logs.robots)))
+        out.uint(0 if target is None else 1 + round(target.speed_m_s * packing.MM))
+        if target is not None:
+            out.sint(round(target.east_m * packing.MM))
+            out.sint(round(target.north_m * packing.MM))
+        for key in logs.keys(logs.robots):
+            out.uint(len(logs.entries[key]))
+            out.sint(tick - logs.closed[key])
+        return bytes(out.data)
+
+    def _wanted(self, now_ns: int) -> Iterable[tuple[bool, Part]]:
+        """What could be sent: (whether it is sent again, part), the most urgent first."""
+        logs = self.logs
+        for stream in Stream:
+            key = (logs.me, stream)
+            slow = any(self.peers[name].round_trip_s > SLOW_S for name in self.in_range(now_ns))
+            told = (self._told_before[0] if slow else self._told).get(key, 0)
+            for part in self._parts(key, told, len(logs.entries[key])):
+                yield False, part
+            for key in logs.keys(logs.robots):
+                if key[1] == stream and (since := self._lacked(key, now_ns)) is not None:
+                    for part in self._parts(key, *since):
+                        yield True, part
+
+    def _parts(self, key: Key, first: int, end: int) -> Iterable[Part]:
+        for start in range(first, end, MOST_OF_A_PART):
+            yield Part(*key, start, tuple(self.logs.entries[key][start : min(end, start + MOST_OF_A_PART)]))
+
+    def _lacked(self, key: Key, now_ns: int) -> tuple[int, int] | None:
+        """From which entry to which a log is to be sent again, for all that lack it and that we answer."""
+        log, mine = self.logs.entries[key], key[0] == self.logs.me
+        end = self._told.get(key, 0) if mine else len(log)
+        firsts = []
+        for name in self.in_range(now_ns):
+            peer = self.peers[name]
+            count = peer.counts.get(key, 0)
+            if count >= end:
+                continue
+            if mine:  # what has just left may be on its way
+                settled_ns = now_ns - round((peer.round_trip_s + TICK_S) * 1e9)
+                if log[count].order_ns > settled_ns:
+                    continue
+            elif self._answers(name, key) != self.logs.me:
+                continue
+            if (first := peer.next_of(key, now_ns)) < end:
+                firsts.append(first)
+        return (min(firsts), end) if firsts else None
+
+    def _answers(self, lacking: str, key: Key) -> str:
+        """Who sends a member what it lacks: the author where it hears that one, else the first that has more."""
+        peer, me = self.peers[lacking], self.logs.me
+        hears = {*peer.hears, me}
+        if key[0] in hears:
+            return key[0]
+        known = {name: self.peers[name].counts.get(key, 0) for name in self.peers if name in hears}
+        known[me] = len(self.logs.entries[key])
+        return min(name for name, count in known.items() if count > peer.counts.get(key, 0))
+
+    def _fill(self, state: bytes, wanted: Iterable[tuple[bool, Part]], now_ns: int) -> list[bytes]:
+        """Bodies of messages within the budget: the first begins with the state, the others with the tick."""
+        tick = now_ns // TICK_NS
+        head = packing.Bytes()
+        head.uint(tick)
+        bodies = [state]
+        for again, part in wanted:
+            out = packing.Bytes()
+            packing.pack_part(out, part, self.logs.robots, tick * TICK_NS)
+            size = len(out.data)
+            if self._left < size:
+                break  # nothing less urgent goes before it
+            if len(bodies[-1]) + size > MESSAGE_BYTES:
+                bodies.append(bytes(head.data))
+                self._left -= OVERHEAD_BYTES
+            bodies[-1] += bytes(out.data)
+            self._left -= size
+            self.sent["again" if again else "new"] += size
+            self._has_left(part, again, now_ns)
+        return bodies
+
+    def _has_left(self, part: Part, again: bool, now_ns: int) -> None:
+        """Remember up to where a log has been sent."""
+        end = part.first + len(part.entries)
+        if not again:
+            self._told[part.key] = max(self._told.get(part.key, 0), end)
+            return
+        for name in self.in_range(now_ns):
+            peer = self.peers[name]
+            peer.sent[part.key] = max(peer.sent.get(part.key, 0), end)

@@ -1,0 +1,292 @@
+"""One robot's part in a team without a common computer: what it knows, and what it does on that. Pure.
+
+It keeps two lines of time. The common one goes as far as everybody's logs are known: it is the same, bit for bit, on
+every robot. While all are in contact the robot follows the plans of that one, and so do the others: they agree without
+talking about it. Robots out of contact would hold it up, so where some are, an agent goes on with a copy that waits for
+those in contact alone; whoever hears the same robots has the same copy. When the missing ones are back the common line
+catches up, and all return to it.
+
+An agent logs only what its own robot observes, and of every robot's commands it gives on its own robot's alone.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Logs, Observation
+from fieldkit.engine.decentralised.packing import quantised
+from fieldkit.engine.decentralised.talk import Talk
+from fieldkit.messages import (
+    Command,
+    Detection,
+    EndMission,
+    Event,
+    GoTo,
+    Operator,
+    Plan,
+    Pose,
+    ReceiverState,
+    RssReading,
+    Tick,
+    VehicleState,
+    Waypoint,
+)
+from fieldkit.settings import AGENT_ABSENT_S, AGENT_WAIT_S, TICK_S
+from mission.core.kernel import NOTHING, Kernel, Outcome
+from mission.core.kernel_settings import KernelSettings
+from mission.core.timeline import Timeline
+
+POSE_EVERY_S = 0.45
+"""Poses nearer together in time than this are not logged: between two a second places are interpolated."""
+STATE_EVERY_S = 10.0
+"""A vehicle's state that has not changed is logged so often."""
+CATCH_UP_TICKS = 20
+"""Ticks that a line of time is moved on by at one tick: more would keep the robot from being steered meanwhile."""
+ABSENT_TICKS = math.ceil(AGENT_ABSENT_S / TICK_S)
+BATTERY_STEP_PCT = 1.0
+ASK_AGAIN_S = 1.0
+"""What safety has refused is asked for again so often, as long as it is what the plan says: another may have set out.
+
+Each agent's safety knows others by what they say that they do, not by what they are about to do.
+"""
+ORDERS_APART_S = 5.0
+"""A hold so much older than a resume that came before it is void; by clocks of two robots one cannot say closer."""
+
+
+@dataclass
+class Agent:
+    """See the module. `talk` is its side of the conversation, with the logs."""
+
+    settings: KernelSettings
+    talk: Talk
+    common: Timeline = field(init=False)
+    """What everybody agrees on."""
+    line: Timeline = field(init=False)
+    """What it acts on: the common line, or one of those in contact."""
+    unloggable: int = 0
+    """Observations of its own that hold no numbers."""
+    fresh: list[Event] = field(default_factory=list)
+    """What has come to be known of others since the last tick, as it came."""
+    patience_s: float = AGENT_WAIT_S
+    """So long after its first tick it waits for robots that nobody has heard of."""
+    _next: Timeline | None = None
+    """A line that is still being brought up to the present."""
+    _follows: bool = False
+    """Whether the line it acts on has come to the present."""
+    _began_ns: int = 0
+    _obeyed: set[Operator] = field(default_factory=set)
+    _held_ns: int = 0
+    _resumed_ns: int = 0
+    _ready: bool = False
+    _early: dict[type, Observation] = field(default_factory=dict)
+    """Its own last pose and states from before its first tick."""
+    _pose_ns: int = -(2**62)
+    _state: VehicleState | None = None
+    _target: Waypoint | None = None
+    _asked_ns: int = 0
+    """When it last gave its robot a command."""
+
+    def __post_init__(self) -> None:
+        self.common = Timeline(Kernel(self.settings), self.logs.robots)
+        self.line = self.common
+
+    @property
+    def logs(self) -> Logs:
+        return self.talk.logs
+
+    @property
+    def me(self) -> str:
+        return self.logs.me
+
+    @property
+    def target(self) -> Waypoint | None:
+        """Where its robot was last sent; None: it has been told to hold, or nothing."""
+        return self._target
+
+    # -- what happens --------------------------------------------------------------------------------------
+
+    def take(self, data: bytes, now_ns: int) -> list[Operator]:
+        """Take in a message of another's; the operator's orders in it that its robot is to obey at once."""
+        said = self.talk.take(data, now_ns)
+        if said is None:
+            return []
+        orders = [] if said.order is None else [said.order]
+        for entry in said.new:
+            if isinstance(entry.event, Operator):
+                orders.append(entry.event)
+            else:
+                self.fresh.append(entry.event)
+        return [order for order in orders if self._is_new(order)]
+
+    def _is_new(self, order: Operator) -> bool:
+        """Whether an order was not obeyed yet, and no later one has made it void. In doubt a robot holds."""
+        if order in self._obeyed:
+            return False
+        self._obeyed.add(order)
+        if order.robot not in (None, self.me):
+            return order.action in ("exclude", "remove")
+        if order.action == "resume":
+            if order.t_ns < self._held_ns:
+                return False
+            self._resumed_ns = max(self._resumed_ns, order.t_ns)
+        elif order.action == "hold":
+            if (self._resumed_ns - order.t_ns) * 1e-9 > ORDERS_APART_S:
+                return False
+            self._held_ns = max(self._held_ns, order.t_ns)
+        return True
+
+    def step(self, event: Event) -> Outcome:
+        """Take in what its own robot or its operator says, or let time pass; what follows for its own robot."""
+        match event:
+            case Tick():
+                return self._tick(event.t_ns)
+            case Operator() if event.action == "end":
+                why = event.reason or "the operator ended the mission"
+                self._log(Operator(event.t_ns, "withdraw", self.me, why), event.t_ns)
+                return Outcome((EndMission(event.t_ns, why),))
+            case Operator():
+                self._log(event, event.t_ns)
+            case _ if event.robot != self.me:
+                return NOTHING  # it comes by that robot's own agent
+            case Pose() | VehicleState() | ReceiverState() if not self._ready:
+                self._early[type(event)] = event
+            case Pose():
+                if (event.t_ns - self._pose_ns) * 1e-9 >= POSE_EVERY_S:
+                    self._pose_ns = event.t_ns
+                    self._log(event, event.t_ns)
+            case VehicleState():
+                if self._says_more(event):
+                    self._state = event
+                    self._log(
+                        replace(event, text="" if event.link_up else event.text, speed_m_s=None), event.t_ns
+                    )
+            case RssReading() | ReceiverState():
+                if self._ready:
+                    self._log(event, event.t_ns)
+        return NOTHING
+
+    def _says_more(self, state: VehicleState) -> bool:
+        last = self._state
+        if last is None or (state.t_ns - last.t_ns) * 1e-9 >= STATE_EVERY_S:
+            return True
+        fell = abs((state.battery_pct or 0.0) - (last.battery_pct or 0.0)) >= BATTERY_STEP_PCT
+        return fell or _essence(state) != _essence(last)
+
+    def _log(self, event: Observation, now_ns: int) -> None:
+        try:
+            self.logs.append(quantised(event), now_ns)
+        except ValueError:
+            self.unloggable += 1
+
+    def _begin(self, now_ns: int) -> None:
+        """Its log begins, or goes on after a restart, in which its robot heard nothing."""
+        self._ready, self._began_ns = True, now_ns
+        before = self.logs.closed_of(self.me)
+        if before > NEVER:
+            self._log(ReceiverState(before * TICK_NS, self.me, False, "its agent was restarted"), now_ns)
+            self._log(ReceiverState(now_ns, self.me, True, "its agent goes on"), now_ns)
+        for event in self._early.values():
+            self.step(replace(event, t_ns=now_ns) if isinstance(event, ReceiverState) else event)
+
+    # -- time ----------------------------------------------------------------------------------------------
+
+    def _tick(self, now_ns: int) -> Outcome:
+        if not self._ready:
+            self._begin(now_ns)
+        self.logs.close(now_ns)
+        outcomes = self.common.step_to(self.logs, self.logs.checkpoint(), CATCH_UP_TICKS)
+        line, followed = self.line, self._follows
+        if now_ns // TICK_NS - self.common.horizon <= ABSENT_TICKS:
+            self.line, self._next, self._follows = self.common, None, True
+        elif len(present := self.present(now_ns)) < len(self.logs.robots):
+            outcomes = self._apart(present, now_ns)
+        elif self.line is self.common:  # everybody is here, and it is still catching up
+            outcomes, self._follows = [], False
+        else:
+            outcomes = self._step(self.line)
+        commands = [
+            command
+            for outcome in outcomes
+            for command in outcome.commands
+            if isinstance(command, EndMission) or command.robot == self.me
+        ]
+        changed = self.line is not line or not followed
+        refused = self._target is None and (now_ns - self._asked_ns) * 1e-9 >= ASK_AGAIN_S
+        if self._follows and not commands and (changed or refused):
+            commands += self._standing(now_ns)
+        return self._of(now_ns, commands, outcomes)
+
+    def _step(self, line: Timeline) -> list[Outcome]:
+        return line.step_to(self.logs, self.logs.checkpoint(line.members), CATCH_UP_TICKS)
+
+    def _apart(self, present: tuple[str, ...], now_ns: int) -> list[Outcome]:
+        """Go on with those in contact alone; what that led to."""
+        # Before anything is common others may only not be ready; after a restart they will be heard soon.
+        wait_s = self.patience_s if self.common.horizon == NEVER else min(self.patience_s, AGENT_ABSENT_S)
+        if (now_ns - self._began_ns) * 1e-9 < wait_s:
+            return []
+        ahead = self._next or self.line
+        if ahead is self.common or ahead.members != present or ahead.has_missed(self.logs):
+            self._next = self.common.copy(present)
+        if self._next is not None:
+            outcomes = self._step(self._next)
+            if self._next.horizon < self.logs.checkpoint(self._next.members):
+                return [] if self.line is self.common else self._step(self.line)
+            self.line, self._next, self._follows = self._next, None, True
+            return outcomes
+        return self._step(self.line)
+
+    def present(self, now_ns: int) -> tuple[str, ...]:
+        """Robots in contact, over others too: those of which everything is known up to a few seconds ago."""
+        least = now_ns // TICK_NS - ABSENT_TICKS
+        return tuple(robot for robot in self.logs.robots if self.logs.closed_of(robot) >= least)
+
+    def ages_s(self, now_ns: int) -> dict[str, float]:
+        """How old what is known of each other robot is; infinite where nothing is."""
+        return {
+            robot: math.inf
+            if (tick := self.logs.closed_of(robot)) == NEVER
+            else now_ns * 1e-9 - tick * TICK_S
+            for robot in self.logs.robots
+            if robot != self.me
+        }
+
+    def _standing(self, now_ns: int) -> list[Command]:
+        """What a line that it now acts on has its robot do."""
+        if self.line.kernel.ended:
+            return [EndMission(now_ns, self.line.end_reason)]
+        targets = [
+            task.targets()[self.me]
+            for task in self.line.kernel.tasks.of.values()
+            if task.sent and self.me in task.targets()
+        ]
+        up_m = self.settings.altitude_m.get(self.me)
+        return [
+            GoTo(now_ns, self.me, target if up_m is None else replace(target, up_m=up_m))
+            for target in targets
+        ]
+
+    def _of(self, now_ns: int, commands: Iterable[Command], outcomes: list[Outcome]) -> Outcome:
+        """One outcome: the last command, the last plan, all that was heard."""
+        last: dict[str, Command] = {}
+        for command in commands:
+            last[getattr(command, "robot", "")] = replace(command, t_ns=now_ns)
+            self._asked_ns = now_ns
+        detections: list[Detection] = [each for outcome in outcomes for each in outcome.detections]
+        plans: list[Plan] = [outcome.plan for outcome in outcomes if outcome.plan is not None]
+        notes = [note for outcome in outcomes for note in outcome.notes]
+        return Outcome(tuple(last.values()), tuple(detections), plans[-1] if plans else None, tuple(notes))
+
+    def ordered(self, command: Command) -> None:
+        """What was given to its robot in the end, after safety has judged."""
+        if getattr(command, "robot", "") == self.me:
+            self._target = command.waypoint if isinstance(command, GoTo) else None
+
+    def messages(self, now_ns: int) -> list[bytes]:
+        """What it has to say to the others at this tick."""
+        return self.talk.messages(now_ns, self._target)
+
+
+def _essence(state: VehicleState) -> tuple[object, ...]:
+    """What of a vehicle's state decides whether it can be steered."""
+    return state.mode, state.armed, state.link_up, state.flies, state.on_ground, state.reason

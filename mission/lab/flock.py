@@ -1,0 +1,249 @@
+"""A team of agents in virtual time over a simulated network: the agents' own code in a plain loop, no sockets.
+
+Each robot has its agent, its safety and its clock; the world and its chance are those of `mission.lab.simulate`, so
+that a flock and a single computer meet the same transmissions.
+"""
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from fieldkit import settings as given
+from fieldkit.engine.decentralised.logs import Logs
+from fieldkit.engine.decentralised.sealing import STAMP_EPOCH_NS, Seal, session_key
+from fieldkit.engine.decentralised.talk import Talk
+from fieldkit.geometry.segments import Segment, ever_m, standing
+from fieldkit.messages import Command, EndMission, Event, GoTo, Operator, Tick, VehicleState
+from fieldkit.world.network import Air, Network
+from mission.core.agent import Agent
+from mission.core.kernel import Kernel
+from mission.core.kernel_settings import KernelSettings
+from mission.core.timeline import Timeline
+from mission.lab.simulate import SimulatedWorld, Truth, count_false, note_covered
+from mission.safety.apart import SafetyApart
+from mission.safety.limits import SafetySettings
+
+START_NS = STAMP_EPOCH_NS + 10**18
+"""When simulated time begins: clocks of before 2015 seal nothing."""
+KEY = bytes(range(32))
+LOOK_S = 10.0
+"""Time between looks at all agents' beliefs."""
+
+
+@dataclass
+class Flown:
+    """How it went."""
+
+    elapsed_s: float
+    time_to_all_s: float | None
+    """When the first agent that acts on it had found all sources, for good."""
+    false_finds: int
+    """Of the agent with the most."""
+    same: bool
+    """Whether all agents had the belief of a single computer at every look, by its digest."""
+    compared: int
+    """Looks at an agent's common line that were compared."""
+    bytes_s: dict[str, float]
+    """What each agent sent a second."""
+    oldest_s: float
+    """The most that anybody's common line lay back."""
+    merged_s: float | None
+    """How long after the cut had ended everybody had everything up to then; None where that did not come, or no cut."""
+    nearest_m: float
+    """The least distance between two robots."""
+    ordered_too_near: int
+    """Orders on a path that really led nearer than half the separation past a robot that stood."""
+    dropped: dict[str, int] = field(default_factory=dict)
+
+
+class Flock:
+    """One team. `fly` once."""
+
+    def __init__(
+        self,
+        kernel: KernelSettings,
+        safety: SafetySettings,
+        truth: Truth,
+        air: Air,
+        seed: int,
+        *,
+        contact_m: float | None = None,
+        clock_s: tuple[float, ...] = (),
+        bytes_s: float = given.AGENT_BYTES_S.default,
+    ) -> None:
+        """`clock_s`: how far each robot's clock is ahead; none: all are right."""
+        robots = kernel.engine.robots
+        self.settings, self.limits, self.truth, self.air = kernel, safety, truth, air
+        grid = kernel.engine.grid
+        self.world = SimulatedWorld(robots, truth, seed, given.TICK_S, kernel.altitude_m, grid.size_east_m)
+        self.network = Network(air, np.random.default_rng([seed, 0xA6E]))
+        self.clock_s = dict(zip(robots, clock_s or (0.0,) * len(robots), strict=True))
+        key = session_key(KEY, "flock")
+        self.agents = {
+            name: Agent(kernel, Talk(Logs(name, robots), Seal(key, number), bytes_s))
+            for number, name in enumerate(robots)
+        }
+        self.safety = {name: SafetyApart(safety, me=name, contact_m=contact_m) for name in robots}
+        self.ended: dict[str, str] = {}
+        self.lost: set[str] = set()
+        """Robots whose agent has died; they stand."""
+        self.seen: list[tuple[int, str, str]] = []
+        """Looks at common lines: tick, robot, digest."""
+        self.ordered_too_near = 0
+        self._ordered: list[GoTo] = []
+        """At this tick."""
+
+    def _now_ns(self, name: str) -> int:
+        return START_NS + round((self.world.t_s + self.clock_s[name]) * 1e9)
+
+    def fly(self, most_s: float) -> Flown:
+        """To the end of everybody's mission, or for `most_s`."""
+        covered: dict[int, float] = {}
+        for name in self.agents:
+            self._observe(name, VehicleState(0, name, "guided", True))
+        oldest, nearest_m, merged_s = 0, math.inf, None
+        while len(self.ended.keys() | self.lost) < len(self.agents) and self.world.t_s < most_s:
+            self.step()
+            living = [agent for name, agent in self.agents.items() if name not in self.lost]
+            for agent in living:
+                note_covered(agent.line.kernel, self.truth, self.world.t_s, covered)
+            oldest = max(oldest, *(self._lag(name) for name in self.agents if name not in self.lost))
+            nearest_m = min(nearest_m, self._nearest_m())
+            if merged_s is None and self.world.t_s >= self.air.cut_s[1]:
+                end_tick = (START_NS + round(self.air.cut_s[1] * 1e9)) // round(given.TICK_S * 1e9)
+                if all(agent.logs.checkpoint() >= end_tick for agent in living):
+                    merged_s = self.world.t_s - self.air.cut_s[1]
+        done = len(covered) == len(self.truth.sources)
+        living = [agent for name, agent in self.agents.items() if name not in self.lost]
+        self._look()
+        return Flown(
+            self.world.t_s,
+            max(covered.values(), default=0.0) if done else None,
+            max(count_false(agent.line.kernel, self.truth) for agent in living),
+            self._is_same(),
+            len(self.seen),
+            {name: sent / max(self.world.t_s, 1e-9) for name, sent in self.network.carried.items()},
+            oldest * given.TICK_S,
+            merged_s,
+            nearest_m,
+            self.ordered_too_near,
+            dict(sum((agent.talk.seal.dropped for agent in living), start=Counter[str]())),
+        )
+
+    def step(self) -> None:
+        """One tick of everybody."""
+        for name, data in self.network.arrived(self.world.t_s):
+            if name not in self.lost:
+                self._hear(name, data)
+        for event in self.world.events():
+            if not isinstance(event, Tick | Operator) and event.robot not in self.lost:
+                self._observe(event.robot, event)
+        places_m = {name: (rover.east_m, rover.north_m) for name, rover in self.world.rovers.items()}
+        for name, agent in self.agents.items():
+            if name in self.lost:
+                continue
+            if name not in self.ended:
+                self._tick(name, agent)
+            for message in agent.messages(self._now_ns(name)):
+                self.network.send(self.world.t_s, name, message, places_m)
+        self._count_too_near()
+        if round(self.world.t_s / given.TICK_S) % round(LOOK_S / given.TICK_S) == 0:
+            self._look()
+        self.world.drive()
+
+    def kill(self, name: str) -> None:
+        """An agent dies; its robot holds by its own failsafe."""
+        self.lost.add(name)
+        self.world.rovers[name].stop()
+
+    def order(self, name: str, action: str, robot: str | None = None) -> None:
+        """An operator at one robot's agent."""
+        agent, now_ns = self.agents[name], self._now_ns(name)
+        order = Operator(now_ns, action, robot, "operator")  # type: ignore[arg-type]  # a test's own words
+        agent.step(order)
+        for command in self.safety[name].observe(order):
+            self._obey(name, command)
+        places_m = {each: (rover.east_m, rover.north_m) for each, rover in self.world.rovers.items()}
+        self.network.send(self.world.t_s, name, agent.talk.order(order, now_ns), places_m)
+
+    def _hear(self, name: str, data: bytes) -> None:
+        agent = self.agents[name]
+        for order in agent.take(data, self._now_ns(name)):
+            for command in self.safety[name].observe(order):
+                self._obey(name, command)
+        for event in agent.fresh:
+            self.safety[name].observe(event)
+        agent.fresh.clear()
+        for other, peer in agent.talk.peers.items():
+            self.safety[name].expect(other, peer.target)
+
+    def _observe(self, name: str, event: Event) -> None:
+        """What a robot's own devices say, by its own clock."""
+        own = replace(event, t_ns=event.t_ns + self._now_ns(name) - round(self.world.t_s * 1e9))
+        self.agents[name].step(own)
+        self.safety[name].observe(own)
+
+    def _tick(self, name: str, agent: Agent) -> None:
+        tick = Tick(self._now_ns(name))
+        safety = self.safety[name]
+        outcome = agent.step(tick)
+        for command in (*safety.observe(tick), *safety.judge(outcome.commands)):
+            self._obey(name, command)
+
+    def _obey(self, name: str, command: Command) -> None:
+        if isinstance(command, EndMission):
+            self.ended[name] = command.reason
+            self.world.rovers[name].stop()
+        elif command.robot == name:
+            self.agents[name].ordered(command)
+            if isinstance(command, GoTo):
+                self._ordered.append(command)
+            self.world.obey(command)
+
+    def _count_too_near(self) -> None:
+        """Look at this tick's orders once all have been given: who was sent on stands no more."""
+        rovers = self.world.rovers
+        standing_m = {n: (r.east_m, r.north_m) for n, r in rovers.items() if r.target_m is None}
+        for order in self._ordered:
+            rover, to = rovers[order.robot], order.waypoint
+            path = Segment((rover.east_m, rover.north_m), (to.east_m, to.north_m), max(to.speed_m_s, 0.01))
+            others = [standing(place) for name, place in standing_m.items() if name != order.robot]
+            self.ordered_too_near += any(ever_m(path, other) < self.limits.near_m for other in others)
+        self._ordered.clear()
+
+    def _lag(self, name: str) -> int:
+        agent = self.agents[name]
+        return (
+            0
+            if agent.common.horizon < 0
+            else self._now_ns(name) // round(given.TICK_S * 1e9) - agent.common.horizon
+        )
+
+    def _nearest_m(self) -> float:
+        places = [(rover.east_m, rover.north_m) for rover in self.world.rovers.values()]
+        return min((math.dist(a, b) for a, b in combinations(places, 2)), default=math.inf)
+
+    def _look(self) -> None:
+        for name, agent in self.agents.items():
+            if name not in self.lost and agent.common.horizon >= 0:
+                self.seen.append((agent.common.horizon, name, agent.common.kernel.digest()))
+
+    def _is_same(self) -> bool:
+        """Whether every belief seen is that of one computer with everybody's own logs."""
+        whole = Logs("", ("", *self.agents))
+        for name, agent in self.agents.items():
+            for key in Logs.keys((name,)):
+                whole.entries[key] = agent.logs.entries[key]
+        one = Timeline(Kernel(self.settings), self.settings.engine.robots)
+        same = True
+        for tick, _, digest in sorted(self.seen):
+            while one.horizon < tick:
+                before = one.horizon
+                one.step_to(whole, tick, 1_000)
+                if one.horizon == before:
+                    return False
+            same = same and one.horizon == tick and one.kernel.digest() == digest
+        return same

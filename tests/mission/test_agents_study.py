@@ -1,0 +1,48 @@
+"""The study of agents, in short: the rows it makes, and what it makes of rows."""
+
+from typing import Any
+
+import pytest
+
+from mission.lab.study import agents
+from mission.lab.study.agents import CENTRAL, SCENARIOS, Job, summarise, trial
+
+
+def scenario(name: str) -> agents.Scenario:
+    return next(each for each in SCENARIOS if each.name == name)
+
+
+def test_a_trial_compares_every_belief_with_that_of_one_computer() -> None:
+    row = trial(Job(scenario("30 % lost"), 1, most_s=15.0))
+    assert row["same"] and row["compared"] >= 8 and row["time_s"] is None and row["elapsed_s"] >= 15.0
+    assert 0.0 < row["most_bytes_s"] < 400.0 and row["ordered_too_near"] == 0
+
+
+def row(seed: int, time_s: float | None, **more: Any) -> dict[str, Any]:
+    return {"seed": seed, "time_s": time_s, "false_finds": 0, "elapsed_s": 100.0, **more}
+
+
+def test_times_are_compared_on_the_seeds_on_which_both_found_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = {
+        "same": True, "compared": 9, "most_bytes_s": 150.0, "oldest_s": 1.0, "merged_s": 4.0, "nearest_m": 0.5,
+        "ordered_too_near": 0,
+    }  # fmt: skip
+    times = {CENTRAL: (100.0, 200.0, None), "full contact": (110.0, None, 50.0)}
+
+    def flown(job: Job) -> dict[str, Any]:
+        more = {} if job.scenario.name == CENTRAL else measured
+        return row(job.seed, times[job.scenario.name][job.seed], **more)
+
+    monkeypatch.setattr(agents, "SCENARIOS", tuple(scenario(name) for name in times))
+    monkeypatch.setattr(
+        "mission.lab.study.scenarios.run_trials",
+        lambda trial, jobs, progress, **how: [flown(job) for job in jobs],
+    )
+    told = agents.run(3, 0, lambda share, text: None)["scenarios"]
+    assert told["full contact"]["times_central"] == 1.1 and told["full contact"]["found_all"] == 2
+    assert told["full contact"]["same_belief"] and told["full contact"]["merged_within_s"] == 4.0
+    assert summarise([row(0, None)])["mean_time_s"] is None
+
+
+def test_every_scenario_has_a_name_of_its_own() -> None:
+    assert len({each.name for each in SCENARIOS}) == len(SCENARIOS)
