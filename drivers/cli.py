@@ -2,12 +2,23 @@
 
 from functools import partial
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated
 
 import typer
 
 from drivers.emulators.defaults import FIRMWARE, HIDDEN_HZ, PICTURES_HZ, PROFILE, SOURCES
 from fieldkit import settings as given
+
+NO_MAP = """none of {count} lines is a reading under any map:
+{maps}
+and none is a strength in dBm by the name of rssi, rss, signal, power or level.
+Write a map of your own into a file radio.toml, as docs/lines.md shows, for
+'fieldkit walk --receiver radio.toml ...'. Of 'S=79' that means -79 dBm:
+  format = "regex"
+  pattern = 'S=(?P<rss>\\d+)'
+  unit = "-dBm\""""
+
 
 SIGMA_DB = 4.0
 """Of emulated radios, where no antenna file says it."""
@@ -291,26 +302,28 @@ def _watch(port: str, baud: int, seconds: float, as_json: bool) -> None:
         typer.echo(json.dumps({"lines": lines, "proposal": proposal}))
         return
     for line in lines[-20:]:
-        typer.echo(f"  {line[:76]}")
+        typer.echo(f"  {_harmless(line)[:76]}")
     if not lines:
-        typer.echo(
-            f"no line came from {port} within {seconds:g} s: is the radio on, is its baud rate {baud}?"
-        )
+        is_serial = "://" not in port and port != "-"
+        hint = f"is the radio on, is its baud rate {baud}?" if is_serial else "does anything send there?"
+        typer.echo(f"no line came from {port} within {seconds:g} s: {hint}")
     elif found is None:
-        typer.echo(
-            f"none of {len(lines)} lines is a reading under any map ({', '.join(MAPS)}), and none names an"
-        )
-        typer.echo(
-            "rssi, rss, signal, power or level: write a map of your own into a file, as docs/lines.md shows,"
-        )
-        typer.echo(
-            "and walk with --receiver radio.toml; of 'S=79' for -79 dBm: format = \"regex\", "
-            "pattern = 'S=(?P<rss>\\d+)', unit = \"-dBm\""
-        )
+        typer.echo(NO_MAP.format(count=len(lines), maps=fill(", ".join(MAPS), 78)))
     else:
         about = found.map.about or "made from the lines themselves"
         typer.echo(f"{found.read} of {len(lines)} lines are readings as: {about}")
-        typer.echo(f'receiver = {{ driver = "lines", port = "{port}", {found.toml()} }}')
+        typer.echo(f'in a mission file:  receiver = {{ driver = "lines", port = "{port}", {found.toml()} }}')
+        if found.name:
+            typer.echo(f"without one:        fieldkit walk --receiver {port},{found.name} ...")
+            return
+        typer.echo("without one:        fieldkit walk --receiver radio.toml ..., with radio.toml:")
+        for key in (f'port = "{port}"', *found.keys()):
+            typer.echo(f"  {key}")
+
+
+def _harmless(line: str) -> str:
+    """What a radio prints, without what would move a terminal's cursor, clear it or name it anew."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in line)
 
 
 def vehicles(

@@ -5,6 +5,7 @@ know how fast mission time runs.
 """
 
 import contextlib
+import errno
 import math
 import os
 import socket
@@ -255,6 +256,8 @@ def _why(url: str, error: Exception) -> str:
         return f"no permission to open {url}; on Linux add yourself to the group 'dialout' and log in again"
     if number in (2, 6) or "could not open port" in words or "no such file" in words:
         return f"no device at {url}; {_ports_there_are()}"
+    if number == errno.ENOTTY or "inappropriate ioctl" in words:
+        return f"{url} is no serial device; {_ports_there_are()}"
     return f"{url}: {error}"
 
 

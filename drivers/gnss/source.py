@@ -199,7 +199,7 @@ class _Followed:
             if self._reader.sentences != sentences:
                 sentences, heard_s = self._reader.sentences, now_s
             elif now_s - heard_s > NO_SENTENCE_S:
-                came = f"{self._reader.damaged} damaged sentences" if self._reader.damaged else "nothing"
+                came = "nothing but damaged sentences" if self._reader.damaged else "nothing"
                 why = f"{came} came for {NO_SENTENCE_S:g} s; {_remedy(self._port, self._baud)}"
                 self._source.note(self._robot, why)
 

@@ -10,7 +10,7 @@ from drivers.lines.mapping import STRONGEST_DBM, LineMap, NoReadingError
 from drivers.lines.maps import MAPS
 
 STRENGTH = re.compile(r"r(x_?)?ssi|rss|dbm|signal|power|level", re.IGNORECASE)
-NAMED = re.compile(r"(?i)\b(?P<word>rssi|rss|signal|power|level)\b\W{0,4}(?P<value>-?\d+(?:\.\d+)?)")
+NAMED = re.compile(r"(?i)\b(?P<word>rssi|rss|signal|power|level)\b\W{0,4}?(?P<value>-?\d+(?:\.\d+)?)")
 SOURCE = re.compile(r"(?i)^(source_?id|mac|addr(ess)?|from_?id|from|id|bssid|tag_?id|node)$")
 
 
@@ -24,19 +24,22 @@ class Proposal:
     read: int
     of: int
 
-    def toml(self) -> str:
-        """What goes behind `driver` and `port` in the mission file."""
+    def keys(self) -> list[str]:
+        """What goes behind `driver` and `port` in the mission file, or a line each into a file of its own."""
         if self.name:
-            return f'map = "{self.name}"'
+            return [f'map = "{self.name}"']
         said = [f'format = "{self.map.format}"']
         if self.map.pattern:
             said.append(f"pattern = '{self.map.pattern}'")
-        said += [
-            f'{key} = "{getattr(self.map, key)}"'
+        return said + [
+            f"{key} = {json.dumps(getattr(self.map, key), ensure_ascii=False)}"
             for key in ("rss", "source", "unit")
             if getattr(self.map, key)
         ]
-        return ", ".join(said)
+
+    def toml(self) -> str:
+        """All of it on one line."""
+        return ", ".join(self.keys())
 
 
 def propose(lines: Sequence[str]) -> Proposal | None:

@@ -72,3 +72,18 @@ async def test_vehicles_heard_on_a_link_are_listed():
         (8, "ArduRover", "hold"),
     ]
     assert not rovers[0].got, "listening sent something"
+
+
+def test_what_a_radio_prints_is_shown_without_moving_the_terminal_and_with_what_to_do(tmp_path):
+    path = tmp_path / "printed"
+    for text, says in (
+        ("\x1b[2J\x1b]0;x\x07 RSSI: -70 \u05e9\n" * 2, '  rss = "rss"'),
+        ("+RCV=50,5,HELLO,-99,40\n", f"--receiver {path},rylr"),
+        ("S=79\n", "write a map of your own"),
+        ("", "its baud rate 115200?"),
+    ):
+        path.write_text(text)
+        said = run(cli.devices, "--watch", str(path), "--seconds", "0.3").output
+        assert says.lower() in said.lower() and "\x1b" not in said and "\x07" not in said
+        if "S=79" in text:
+            assert max(map(len, said.splitlines())) <= 80

@@ -52,6 +52,24 @@ def test_a_documented_line_gets_its_own_map_proposed(name: str) -> None:
     assert found.map.read(MAPS[name].example).rss_dbm == DOCUMENTED[name].rss_dbm  # type: ignore[union-attr]
 
 
+@pytest.mark.parametrize(
+    ("line", "rss_dbm"),
+    [
+        ("RSSI: -70", -70.0),
+        ("node 3 rssi=-70.5dBm snr=9", -70.5),
+        ("level 34", -34.0),
+        ('{"radio": {"signal": -61, "mac": "a"}}', -61.0),
+        ('{"my \\"rssi\\"": -62}', -62.0),
+    ],
+)
+def test_a_radio_in_words_of_its_own_gets_a_map_proposed(line: str, rss_dbm: float) -> None:
+    found = propose(["booting", line, line])
+    assert found is not None and found.read == 2
+    for text in (f"x = {{ {found.toml()} }}", "[x]\n" + "\n".join(found.keys())):
+        options = LinesOptions("-", **tomllib.loads(text)["x"])
+        assert map_of(options, "lines").read(line) == Heard(rss_dbm, (found.map.source and "a") or None)
+
+
 @pytest.mark.parametrize("name", STYLES)
 def test_what_an_emulated_radio_prints_is_read_by_the_map_of_its_name(name: str) -> None:
     line = (PrintingRadio(lambda: 0, name).hear(-77.0, 0xBEEF, b"") or b"").decode()
