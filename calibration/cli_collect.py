@@ -2,12 +2,15 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calibration.options import headings, settings
 from fieldkit.errors import ConfigError
+
+if TYPE_CHECKING:
+    from calibration.collect import Collector
 
 
 def collect(
@@ -63,8 +66,6 @@ def collect(
 
     Example: fieldkit calibrate collect -o readings.csv --set port=/dev/ttyUSB0 --period-s 0.5
     """
-    import asyncio
-
     from calibration import collect_log
     from calibration.collect import Beacon, Collector
     from calibration.positions import PositionFeed, by_position_source, by_telemetry
@@ -92,24 +93,43 @@ def collect(
     opened = plugins.load("fieldkit.receivers", table["driver"])(name, options, around)
     log = collect_log.free_path(out.with_suffix(".mcap")) if record is None else record
     said = collect_log.metadata(beacon, period_s, packets)
-    with RecordingWriter(log, start_ns=clock.now_ns(), metadata=said) as writer:
-        collector = Collector(
-            opened,
-            clock,
-            Beacon(period_s, packets, beacon),
-            out,
-            _ask,
-            typer.echo,
-            collect_log.CollectLog(writer),
-            where,
-            headings(turns),
-            _show if sys.stdout.isatty() else lambda text: None,
-        )
-        places = asyncio.run(collector.run())
-    count = len({place.name for place in places})
-    typer.echo(f"{out}: {count} place{'s' * (count != 1)}; recording: {log}")
+    writer = RecordingWriter(log, start_ns=clock.now_ns(), metadata=said)
+    collector = Collector(
+        opened,
+        clock,
+        Beacon(period_s, packets, beacon),
+        out,
+        _ask,
+        typer.echo,
+        collect_log.CollectLog(writer),
+        where,
+        headings(turns),
+        _show if sys.stdout.isatty() else lambda text: None,
+    )
+    try:
+        with writer:
+            cut = _collected(collector)
+    finally:
+        if not collector.begun:  # of a radio that is not there nothing was recorded
+            log.unlink(missing_ok=True)
+    count = len({place.name for place in collector.places})
+    typer.echo(f"{cut}{out}: {count} place{'s' * (count != 1)}; recording: {log}")
+    if cut:
+        typer.echo("to go on with it: the same command")
+        raise typer.Exit(130)
     if count:
         typer.echo(f"now: fieldkit calibrate fit {out} -o antenna.toml --report report.html")
+
+
+def _collected(collector: "Collector") -> str:
+    """Collect; what is to be said where it was interrupted, or nobody answers any more."""
+    import asyncio
+
+    try:
+        asyncio.run(collector.run())
+    except (KeyboardInterrupt, typer.Abort):
+        return "\ninterrupted; "
+    return ""
 
 
 def _check_positions(

@@ -1,6 +1,8 @@
 """Guided collection with a real receiver: ask where, listen, say what came and what is still missing."""
 
 import asyncio
+import contextlib
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
@@ -12,7 +14,7 @@ from calibration.collect_log import CollectLog
 from calibration.collection import Place, from_csv, packets_from, still_missing, to_csv
 from calibration.positions import PositionFeed, Spot
 from fieldkit.clock import Clock
-from fieldkit.errors import DeviceError
+from fieldkit.errors import DataError, DeviceError
 from fieldkit.files import write_whole
 from fieldkit.messages import ReceiverState, RssReading
 from fieldkit.ports import Receiver
@@ -55,6 +57,8 @@ class Collector:
     """Ask for the antenna to be turned to each of these at every place."""
     show: Say = lambda text: None
     """Told how it goes while listening, about once a second."""
+    begun: bool = False
+    """Whether the receiver was there."""
     places: list[Place] = field(default_factory=list)
     inbox: list[RssReading | ReceiverState] = field(default_factory=list)
 
@@ -73,17 +77,43 @@ class Collector:
         question = QUESTION if self.positions is None else QUESTION_TRACKED
         async with AsyncExitStack() as stack:
             await stack.enter_async_context(self.receiver)
+            self.begun = True
             if self.positions is not None:
                 await stack.enter_async_context(self.positions.following())
             listening = asyncio.create_task(self._listen())
             try:
-                while (answer := (await asyncio.to_thread(self.ask, question)).strip()) != "q":
+                while (answer := await self._asked(question)) != "q":
                     await self._answered(answer)
                     await asyncio.to_thread(write_whole, self.out, to_csv(self.places))
             finally:
                 listening.cancel()
                 await asyncio.gather(listening, return_exceptions=True)
         return self.places
+
+    async def _asked(self, question: str) -> str:
+        """What was answered. In a thread that nobody waits for: Ctrl-C must not need Enter as well."""
+        loop = asyncio.get_running_loop()
+        answered: asyncio.Future[str] = loop.create_future()
+
+        def settle(answer: str, error: Exception | None) -> None:
+            if answered.done():
+                return
+            if error is None:
+                answered.set_result(answer)
+            else:
+                answered.set_exception(error)
+
+        def ask() -> None:
+            answer, problem = "", None
+            try:
+                answer = self.ask(question).strip()
+            except Exception as error:
+                problem = error
+            with contextlib.suppress(RuntimeError):  # the loop is over
+                loop.call_soon_threadsafe(settle, answer, problem)
+
+        threading.Thread(target=ask, name="question", daemon=True).start()
+        return await answered
 
     async def _answered(self, answer: str) -> None:
         if answer == "u":
@@ -114,7 +144,7 @@ class Collector:
         if self.headings_deg:
             name = self._next_name()
             for turned in self.headings_deg:
-                if (await asyncio.to_thread(self.ask, TURN.format(turned))).strip() != "s":
+                if await self._asked(TURN.format(turned)) != "s":
                     self._add(await self._listened(), distance, turned, name)
             return
         if self.places and (heading is None) != (self.places[0].heading_deg is None):
@@ -225,7 +255,11 @@ def _count(places: Sequence[Place]) -> int:
 
 
 def _already(out: Path) -> list[Place]:
-    return from_csv(out) if out.exists() else []
+    if not out.exists():
+        return []
+    if not out.is_file():
+        raise DataError(f"{out}: is no file that could be gone on with; name a CSV")
+    return from_csv(out)
 
 
 def parse_answer(answer: str) -> tuple[float, float | None] | None:

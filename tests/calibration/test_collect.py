@@ -1,6 +1,7 @@
 """Guided collection: packets that do not arrive are counted, an interruption costs one place at most."""
 
 import asyncio
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -356,3 +357,46 @@ def test_a_receiver_that_a_file_describes_is_collected_with(tmp_path, monkeypatc
     assert given == {"port": "/dev/y", "format": "regex", "pattern": "S=(?P<rss>.+)"}
     result = CliRunner().invoke(app, ["collect", "-o", str(tmp_path / "r.csv"), "--receiver", "no.toml"])
     assert "--receiver no.toml: cannot be read" in str(result.exception)
+
+
+def test_ctrl_c_at_a_question_needs_no_enter_as_well(tmp_path):
+    asked, released = threading.Event(), threading.Event()
+
+    def ask(question):
+        asked.set()
+        released.wait(20.0)
+        return "q"
+
+    clock = SteppedClock(100 * SECOND)
+    collector = Collector(
+        FakeReceiver(clock), clock, Beacon(1.0, 15), tmp_path / "r.csv", ask, lambda text: None
+    )
+
+    async def interrupted():
+        running = asyncio.create_task(collector.run())
+        while not asked.is_set():  # noqa: ASYNC110 it is set in a thread
+            await asyncio.sleep(0.01)
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+
+    asyncio.run(interrupted())
+    assert not released.is_set() and not collector.receiver.open
+    released.set()
+
+
+def test_what_is_no_file_is_not_gone_on_with():
+    with pytest.raises(DataError, match="/dev/full: is no file that could be gone on with"):
+        run(Path("/dev/full"), ["q"])
+
+
+def test_answers_that_end_keep_what_there_is_and_a_missing_radio_leaves_nothing(tmp_path):
+    (tmp_path / "lines").write_text("")
+    out, port = tmp_path / "r.csv", tmp_path / "lines"
+    words = ["collect", "-o", str(out), "--receiver", "lines", "--set", "map=json", "--set"]
+    done = CliRunner().invoke(app, [*words, f"port={port}", "--period-s", "0.01"], input="5\n")
+    assert done.exit_code == 130 and "r.csv: 1 place" in done.output and "the same command" in done.output
+    assert len(from_csv(out)) == 1
+    missing = CliRunner().invoke(app, [*words, f"port={tmp_path / 'none'}"], input="q\n")
+    assert isinstance(missing.exception, DeviceError)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["lines", "r.csv", "r.mcap"]
