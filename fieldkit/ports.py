@@ -192,6 +192,28 @@ class PositionSource(_Opened, Protocol):
         ...
 
 
+@runtime_checkable
+class Network(_Opened, Protocol):
+    """What the agents of robots talk over. Whoever is in reach may hear what is published; nothing is promised."""
+
+    where: str
+    """In words, where it looks for others."""
+
+    def publish(self, data: bytes, *, urgent: bool = False) -> None:
+        """Send to all in reach. Waits for nobody; what cannot leave is lost. Urgent messages go before others."""
+        ...
+
+    def messages(self) -> AsyncIterator[bytes]:
+        """What others publish, as it comes. Ends when the network is closed."""
+        ...
+
+
+class NetworkFactory(Protocol):
+    """What an entry point in `fieldkit.networks` names. Those of one `topic` hear each other."""
+
+    def __call__(self, topic: str, options: Mapping[str, Any], around: DriverContext) -> Network: ...
+
+
 class ReceiverFactory(Protocol):
     """What an entry point in `fieldkit.receivers` names."""
 

@@ -19,6 +19,7 @@ LONG_FUNCTIONS: dict[str, str] = {
     "calibration/cli_collect.py collect": OPTIONS,
     "calibration/cli_update.py update": OPTIONS,
     "drivers/positions/cli.py survey": OPTIONS,
+    "mission/cli/agent.py agent": OPTIONS,
     "mission/cli/missions.py replay": OPTIONS,
     "mission/cli/walk.py walk": OPTIONS,
     "mission/core/template.py mission_text": "what may be chosen, with defaults, and where each goes in the text",

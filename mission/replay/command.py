@@ -53,6 +53,11 @@ def replay_one(
     if until_s is not None and not 0.0 < until_s <= lasts_s:
         raise DataError(f"{log}: --until {until_s:g} s lies outside the log, which lasts {lasts_s:.1f} s")
     merged = "merged" in recording.metadata
+    if "agent" in recording.metadata and not changes.any:
+        raise DataError(
+            f"{log}: is what {recording.metadata['agent']}'s agent saw and did, on more than it holds: replay the "
+            "common.mcap beside it, or add --what-if to see what one computer would have made of this"
+        )
     different = changes.any or merged
     mission = changed_mission(recording, changes)
     if changes.antenna is not None and not different:

@@ -88,6 +88,8 @@ def resumable(recording: Recording) -> Mission:
         raise RecordingError(
             f"{recording.path}: that mission is over ({result.get('end_reason', 'ended')}); nothing to resume"
         )
+    if "agent" in recording.metadata:
+        raise RecordingError(f"{recording.path}: is an agent's: 'fieldkit agent' goes on by itself")
     return recorded_mission(recording)
 
 

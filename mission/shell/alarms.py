@@ -1,12 +1,20 @@
 """Alarms while no tick shows them: vehicles are still being acquired, and one may have been ordered to stop."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 
 from fieldkit.clock import Clock
 
 LOOK_EVERY_S = 0.5
+LATE_STOP_S = 1.5
+"""A stop that takes longer to be shown than over a poor link is an alarm."""
+
+
+def late_stops(unconfirmed: Mapping[str, float]) -> list[str]:
+    """Robots that have been ordered to stop, and for so many seconds have not shown it."""
+    late = {name: late_s for name, late_s in unconfirmed.items() if late_s >= LATE_STOP_S}
+    return [f"{name} has not shown for {late_s:.0f} s that it holds" for name, late_s in late.items()]
 
 
 @asynccontextmanager

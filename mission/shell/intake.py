@@ -1,12 +1,14 @@
 """What devices say, as events. A device that fails is a fact for the mission, not its end."""
 
+import asyncio
 import logging
 import re
-from collections.abc import AsyncIterator, Container, Iterable
+from collections.abc import AsyncIterator, Container, Iterable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from fieldkit.clock import Clock
-from fieldkit.errors import DeviceError
+from fieldkit.errors import DeviceError, FieldkitError
 from fieldkit.messages import Event, Pose, ReceiverState, VehicleState
 from fieldkit.ports import PositionSource, Receiver, VehicleLink
 from mission.shell.dispatcher import Note
@@ -80,3 +82,12 @@ async def from_positions(
     except DeviceError as error:
         logger.warning("positions of %s: %s", ", ".join(source.robots), error)
         note("warning", f"positions of {', '.join(source.robots)}: {error}")
+
+
+async def end_tasks(tasks: Sequence["asyncio.Task[Any]"]) -> None:
+    """End the tasks that take in; what they still say goes to the log."""
+    for task in tasks:
+        task.cancel()
+    for outcome in await asyncio.gather(*tasks, return_exceptions=True):
+        if isinstance(outcome, FieldkitError):
+            logger.warning("while closing: %s", outcome)

@@ -1,6 +1,6 @@
 """The end of a mission with robots in the air: they go home and land first. Nothing may hang in the air after us."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field
 
 from fieldkit.messages import Event, Operator
@@ -20,6 +20,8 @@ class Landing:
     safety: Safety
     put: Callable[[Event], None]
     note: Note
+    steered: Container[str]
+    """Robots that this mission has a link to."""
     _by_ns: int = 0
     _ended_ns: int = 0
     """When the mission was first seen to be over."""
@@ -37,16 +39,19 @@ class Landing:
     def _in_the_air(self) -> list[str]:
         return [
             name
-            for name in self.safety.settings.altitude_m
+            for name in self._flying()
             if (robot := self.safety.robots[name]).vehicle is not None
             and robot.ordered != "release"
             and robot.vehicle.armed
             and robot.vehicle.on_ground is not True
         ]
 
+    def _flying(self) -> list[str]:
+        return [name for name in self.safety.settings.altitude_m if name in self.steered]
+
     def _stopping_motors(self, now_ns: int) -> list[str]:
         """Robots that fly and are down, with motors that will stop by themselves: a hold would keep them on."""
-        for name in self.safety.settings.altitude_m:
+        for name in self._flying():
             vehicle = self.safety.robots[name].vehicle
             if vehicle is not None and vehicle.armed and vehicle.on_ground is True:
                 self._down_ns.setdefault(name, now_ns)

@@ -11,13 +11,13 @@ A robot for which safety calls the operator is withdrawn: that too goes through 
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from fieldkit.errors import ConfigError, FieldkitError, RecordingError, ReplayMismatch
+from fieldkit.errors import ConfigError, RecordingError, ReplayMismatch
 from fieldkit.messages import (
     CallOperator,
     Command,
@@ -33,12 +33,13 @@ from fieldkit.messages import (
 from fieldkit.recording.reader import Step
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.settings import TICK_S
+from mission.core.fleet import Robot
 from mission.core.kernel import NOTHING, Kernel, Outcome, state_digest
 from mission.core.mission_file import Mission
 from mission.safety.rules import Safety
-from mission.shell.alarms import alarms_shown
+from mission.shell.alarms import alarms_shown, late_stops
 from mission.shell.dispatcher import ACQUIRE, RELEASE, Dispatcher
-from mission.shell.intake import streams_of
+from mission.shell.intake import end_tasks, streams_of
 from mission.shell.landing import Landing
 from mission.shell.recorder import Follower, Look, MissionRecorder
 from mission.shell.setups import Setup
@@ -48,9 +49,6 @@ from mission.shell.ticks import Ticks
 from mission.shell.vehicle_fences import VehicleFences
 
 logger = logging.getLogger(__name__)
-
-LATE_STOP_S = 1.5
-"""A stop that takes longer to be shown than over a poor link is an alarm."""
 
 SLEPT_S = 1.0
 """So much later than its time a tick may be, in wall time, before this computer is taken to have slept."""
@@ -91,8 +89,7 @@ class Runner:
     end_reason: str = ""
 
     def __post_init__(self) -> None:
-        self.kernel = Kernel(self.mission.kernel)
-        self.safety = Safety(self.mission.safety)
+        self.kernel, self.safety = self.minds()
         self._inbox: asyncio.Queue[tuple[int, int, Event] | BaseException] = asyncio.Queue()
         self._number = 0
         self._stepped = 0
@@ -119,9 +116,22 @@ class Runner:
         self._steered = False
         self._over_reason = ""
         """Why the mission is over; robots that fly may still be on their way home."""
-        self._landing = Landing(self.safety, self.put, self._note)
+        self._landing = Landing(self.safety, self.put, self._note, self.dispatcher.link_of)
         self._resumed_ns = 0
         """When the last event of an interrupted mission came; 0: this one begins."""
+
+    def minds(self) -> tuple[Kernel, Safety]:
+        """What decides."""
+        return Kernel(self.mission.kernel), Safety(self.mission.safety)
+
+    def decide(self, event: Event) -> Outcome:
+        """What an event leads to."""
+        return self.kernel.step(event)
+
+    @property
+    def robots(self) -> Mapping[str, Robot]:
+        """Those that must be there before the start."""
+        return self.kernel.robots
 
     async def run(self) -> str:
         """Fly the mission to its end; why it ended. Raises what a device raises before the start."""
@@ -137,7 +147,7 @@ class Runner:
                 tasks = [
                     asyncio.create_task(self._pump(events), name=name) for name, events in self._streams()
                 ]
-                stack.push_async_callback(_cancel, tasks)
+                stack.push_async_callback(end_tasks, tasks)
                 stack.push_async_callback(self._leave)
                 if self._resumed_ns:
                     self._interrupted()
@@ -165,7 +175,7 @@ class Runner:
     def _over(self, tasks: list[asyncio.Task[Any]], task: asyncio.Task[Any]) -> None:
         """What ended a task goes through the inbox: waiting for all tasks at every event would cost more than it."""
         if not task.cancelled() and (error := task.exception()) is not None:
-            tasks.remove(task)  # `_cancel` need not report it once more
+            tasks.remove(task)  # `end_tasks` need not report it once more
             self._inbox.put_nowait(error)
 
     # -- what comes in ---------------------------------------------------------------------------------------
@@ -204,12 +214,12 @@ class Runner:
         clock = self.setup.clock
         start = Start(self.mission, clock, self.dispatcher, self._note, self.fences, self.override)
         async with self.dispatcher.beating(), alarms_shown(self.alarms, self._show_now, clock):
-            absent = await start.until_heard(self.kernel, self._resumed_ns, self.recorder.maybe_flush)
+            absent = await start.until_heard(self.robots, self._resumed_ns, self.recorder.maybe_flush)
             resumed = self._resumed_ns > 0
             out = dict.fromkeys(absent, "nothing is heard of it")
-            out |= await start.inspect(self.kernel, absent, resumed=resumed)
+            out |= await start.inspect(self.robots, absent, resumed=resumed)
             self._steered = True
-            waits = await start.acquire(self.kernel, self.safety, out, resumed=resumed)
+            waits = await start.acquire(self.robots, self.safety, out, resumed=resumed)
         for name, why in waits.items():
             self.put(Operator(clock.now_ns(), "withdraw", name, why))
         while True:
@@ -255,7 +265,7 @@ class Runner:
             self.dispatcher.beat()
             outcome, look = await self._think(event, pool)
         else:
-            outcome = self.kernel.step(event)
+            outcome = self.decide(event)
         for command in self._judge(number, t_ns, event, outcome):
             self._carry_out(command)
         if look is not None:
@@ -324,7 +334,7 @@ class Runner:
         """Off the loop: a long look at the belief must not delay the drivers. A too long one holds everybody."""
 
         def think() -> tuple[Outcome, Look | None]:
-            return self.kernel.step(tick), self.records.look_if_due(tick.t_ns)
+            return self.decide(tick), self.records.look_if_due(tick.t_ns)
 
         thinking = asyncio.get_running_loop().run_in_executor(pool, think)
         limit_s = self.mission.safety.overrun_s
@@ -376,9 +386,9 @@ class Runner:
 
     def alarms(self) -> list[str]:
         """Stops that vehicles have not shown, and a recording that has stopped."""
-        late = {name: s for name, s in self.dispatcher.unconfirmed().items() if s >= LATE_STOP_S}
-        alarms = [f"{name} has not shown for {late_s:.0f} s that it holds" for name, late_s in late.items()]
-        return alarms + ([f"NOTHING IS RECORDED: {self.recorder.failure}"] if self.recorder.failure else [])
+        return late_stops(self.dispatcher.unconfirmed()) + (
+            [f"NOTHING IS RECORDED: {self.recorder.failure}"] if self.recorder.failure else []
+        )
 
     def _show_now(self) -> None:
         """Without a tick, on every surface."""
@@ -438,11 +448,3 @@ class Runner:
             "found_at_s": {str(ident): at_s for ident, at_s in self.kernel.found_at_s.items()},
             "interventions": self.safety.interventions,
         }
-
-
-async def _cancel(tasks: list[asyncio.Task[Any]]) -> None:
-    for task in tasks:
-        task.cancel()
-    for outcome in await asyncio.gather(*tasks, return_exceptions=True):
-        if isinstance(outcome, FieldkitError):
-            logger.warning("while closing: %s", outcome)

@@ -8,7 +8,7 @@ import asyncio
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -60,6 +60,22 @@ class Setup:
 def live(mission: Mission, clock: Clock | None = None) -> Setup:
     """The radios and vehicles the mission file names. Raises `ConfigError` for options a driver does not know."""
     return _build(mission, mission.file.robot, clock or RealClock())
+
+
+def of_robot(mission: Mission, name: str, clock: Clock | None = None) -> Setup:
+    """One robot's devices alone, and its own positions where the file has a source for each robot by name."""
+    file = mission.file
+    robots = tuple(robot for robot in file.robot if robot.name == name)
+    positions = []
+    for table in file.positions:
+        options = table.model_extra or {}
+        if isinstance(options.get("robots"), dict):
+            if name not in options["robots"]:
+                continue
+            table = replace_options(table, {"robots": {name: options["robots"][name]}})
+        positions.append(table)
+    own = replace(mission, file=file.model_copy(update={"positions": tuple(positions)}))
+    return _build(own, robots, clock or RealClock())
 
 
 def _build(mission: Mission, robots: tuple[RobotTable, ...], clock: Clock, emulator: Any = None) -> Setup:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from fieldkit.clock import Clock
 from fieldkit.errors import DeviceError, DeviceTimeout, VehicleRefused
-from mission.core.kernel import Kernel
+from mission.core.fleet import Robot
 from mission.core.mission_file import Mission
 from mission.safety.rules import Safety
 from mission.shell.dispatcher import Dispatcher, Note
@@ -29,20 +29,22 @@ class Start:
     override: str = ""
     """Why the mission may start although a vehicle's check is red; typed by the operator."""
 
-    async def until_heard(self, kernel: Kernel, resumed_ns: int, waited: Callable[[int], None]) -> set[str]:
+    async def until_heard(
+        self, robots: Mapping[str, Robot], resumed_ns: int, waited: Callable[[int], None]
+    ) -> set[str]:
         """Robots still not heard when the time to wait is over. A mission that begins waits for all of them.
 
         A resumed one goes on without those. `waited` is given the time while nothing comes. Raises `DeviceTimeout`.
         """
         deadline_s = self.clock.elapsed_s() + READY_TIMEOUT_S
-        while missing := _missing(kernel, resumed_ns):
+        while missing := _missing(robots, resumed_ns):
             if self.clock.elapsed_s() > deadline_s:
                 text = (
                     f"no telemetry from {', '.join(missing)} in {READY_TIMEOUT_S:.0f} s: is the vehicle on, does it "
                     "send to the address in the mission file, are its system id and signing key right, has it a "
                     "position fix?"
                 )
-                if not resumed_ns or len(missing) == len(kernel.robots):
+                if not resumed_ns or len(missing) == len(robots):
                     raise DeviceTimeout(text)
                 self.note("warning", f"{text} The mission goes on without")
                 break
@@ -50,7 +52,9 @@ class Start:
             waited(self.clock.now_ns())  # silence is no step of the clock
         return set(missing)
 
-    async def inspect(self, kernel: Kernel, absent: set[str], *, resumed: bool) -> dict[str, str]:
+    async def inspect(
+        self, robots: Mapping[str, Robot], absent: set[str], *, resumed: bool
+    ) -> dict[str, str]:
         """Vehicles that would not stop by themselves, or are not ready otherwise, keep the mission from starting.
 
         A mission that is resumed goes on without them: robots that are not ready, and why.
@@ -59,12 +63,11 @@ class Start:
         checks = await self.fences.put(list(present))
         asked = [link.inspect(robot, demands_of(self.mission)) for robot, link in present.items()]
         checks += [check for found in await asyncio.gather(*asked) for check in found]
-        poses = {name: robot.pose for name, robot in kernel.robots.items() if robot.pose is not None}
-        checks += [check for check in judge_places(self.mission, poses) if check.robot not in absent]
-        flies = {
-            name: robot.vehicle.flies for name, robot in kernel.robots.items() if robot.vehicle is not None
-        }
-        checks += [check for check in judge_heights(self.mission, flies) if check.robot not in absent]
+        poses = {name: robot.pose for name, robot in robots.items() if robot.pose is not None}
+        ours = robots.keys() - absent
+        checks += [check for check in judge_places(self.mission, poses) if check.robot in ours]
+        flies = {name: robot.vehicle.flies for name, robot in robots.items() if robot.vehicle is not None}
+        checks += [check for check in judge_heights(self.mission, flies) if check.robot in ours]
         for check in checks:
             if check.level != "green":
                 self.note("warning", f"{check.robot}: {check.name} {check.level}: {check.found}")
@@ -74,9 +77,9 @@ class Start:
             red = {
                 check.robot: f"{check.name}: {check.found}"
                 for check in checks
-                if check.level == "red" and check.robot in kernel.robots
+                if check.level == "red" and check.robot in robots
             }
-            if len(red.keys() | absent) < len(kernel.robots):
+            if len(red.keys() | absent) < len(robots):
                 return red
         if not self.override:
             raise VehicleRefused(
@@ -87,7 +90,7 @@ class Start:
         return {}
 
     async def acquire(
-        self, kernel: Kernel, safety: Safety, absent: Mapping[str, str], *, resumed: bool
+        self, robots: Mapping[str, Robot], safety: Safety, absent: Mapping[str, str], *, resumed: bool
     ) -> dict[str, str]:
         """Make the vehicles ours. Robots that stay out of the mission until the operator resumes them, and why.
 
@@ -100,7 +103,7 @@ class Start:
             return {}
         waits = dict(absent) | {
             name: "it is disarmed"
-            for name, robot in kernel.robots.items()
+            for name, robot in robots.items()
             if name not in absent and robot.vehicle is not None and not robot.vehicle.armed
         }
         ordered = {name for name, robot in safety.robots.items() if robot.ordered}
@@ -114,11 +117,11 @@ class Start:
         return waits
 
 
-def _missing(kernel: Kernel, resumed_ns: int) -> list[str]:
+def _missing(robots: Mapping[str, Robot], resumed_ns: int) -> list[str]:
     """Robots whose position or vehicle has not been heard since the mission went on."""
     return [
         name
-        for name, robot in kernel.robots.items()
+        for name, robot in robots.items()
         if robot.pose is None
         or robot.vehicle is None
         or min(robot.pose.t_ns, robot.vehicle.t_ns) <= resumed_ns

@@ -15,7 +15,7 @@ def scene(folder: Path) -> tuple[Safety, Landing, list[Event]]:
     """r1 flies, the others drive."""
     settings = replace(small_mission(folder, duration_s=5.0).safety, altitude_m={"r1": 10.0})
     safety, asked = Safety(settings), list[Event]()
-    return safety, Landing(safety, asked.append, lambda level, text: None), asked
+    return safety, Landing(safety, asked.append, lambda level, text: None, {"r1"}), asked
 
 
 def seen(safety: Safety, t_s: float, *, armed: bool, on_ground: bool | None) -> None:
@@ -71,3 +71,11 @@ def test_one_that_is_not_ours_any_more_is_named_and_not_waited_for(tmp_path: Pat
     landing.begin(1 * S, 1 * S, "found all")
     safety.observe(VehicleState(2 * S, "r1", "other", True, True, None, "", on_ground=False))
     assert is_over(landing, 2.0) == (True, []) and landing.not_ours() == ["r1"]
+
+
+def test_a_robot_that_another_computer_steers_is_not_waited_for(tmp_path: Path) -> None:
+    safety, _, asked = scene(tmp_path)
+    seen(safety, 0.0, armed=True, on_ground=False)
+    others = Landing(safety, asked.append, lambda level, text: None, {"r2"})
+    others.begin(0, 0, "over")
+    assert asked == [] and is_over(others, 1.0) == (True, [])

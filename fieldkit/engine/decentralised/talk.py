@@ -94,7 +94,7 @@ class Talk:
     bytes_s: float = AGENT_BYTES_S.default
     peers: dict[str, Peer] = field(default_factory=dict)
     sent: Counter[str] = field(default_factory=Counter)
-    """Bytes sent, by what they were: "state", "new", "again", "order"."""
+    """Bytes sent, by what they were: "state", "new", "again", "order", and what the shell adds."""
     heard_bytes: int = 0
     refused: int = 0
     """Messages of members that could not be read."""

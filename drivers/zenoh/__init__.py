@@ -1,0 +1,1 @@
+"""Agents' messages over Eclipse Zenoh: peer to peer, no broker."""

@@ -1,0 +1,84 @@
+"""Who an agent is, said every few seconds: so that those who do not belong together learn why, by name. Pure.
+
+A card is signed with the mission's key alone. What members say otherwise is signed with a key that is made of the
+mission file and the version too (`sealing.session_key`): they could not even read each other.
+"""
+
+import json
+from dataclasses import asdict, dataclass, fields
+
+from fieldkit.engine.decentralised.sealing import STALE_S, session_key, signed, unsigned
+
+MARK = b"\x00card"
+"""No other message begins so: kinds of those are not 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """What an agent says of itself."""
+
+    robot: str
+    mission: str
+    """Its mission's name."""
+    mission_hash: str
+    """Of mission and antenna file."""
+    version: str
+    code: str
+    """Of the code that decides, which may change within one version."""
+    host: str
+    instance: str
+    """Of this very process: a robot that is restarted has another."""
+    started_ns: int
+    sent_ns: int = 0
+
+    @property
+    def common(self) -> str:
+        """What agents must have in common to hear each other."""
+        return f"{self.mission_hash} {self.version} {self.code}"
+
+    def to_bytes(self, key: bytes) -> bytes:
+        """The card as it goes out."""
+        return signed(session_key(key, "card"), MARK + json.dumps(list(asdict(self).values())).encode())
+
+
+def read_card(key: bytes, data: bytes, now_ns: int) -> Card | None:
+    """The card in a message; None where there is none, or one of long ago."""
+    said = unsigned(session_key(key, "card"), data) if data.startswith(MARK) else None
+    if said is None:
+        return None
+    try:
+        values = dict(
+            zip((each.name for each in fields(Card)), json.loads(said.removeprefix(MARK)), strict=True)
+        )
+        card = Card(**values)
+        age_s = abs(now_ns - card.sent_ns) * 1e-9
+    except (ValueError, TypeError):
+        return None
+    return card if age_s <= STALE_S else None
+
+
+def refusal(mine: Card, other: Card) -> str:
+    """Why two agents do not belong together; empty where they do."""
+    who = f"{other.robot} on {other.host}"
+    if other.mission_hash != mine.mission_hash:
+        return (
+            f"{who} has another mission or antenna file (mission {other.mission!r}, {other.mission_hash}; here "
+            f"{mine.mission!r}, {mine.mission_hash}): it is not heard; copy the files anew to both"
+        )
+    if (other.version, other.code) != (mine.version, mine.code):
+        return (
+            f"{who} runs another fieldkit ({other.version}, code {other.code}; here {mine.version}, code {mine.code}): "
+            "it is not heard, since it would decide otherwise; install the same on both"
+        )
+    return ""
+
+
+def is_second(mine: Card, other: Card) -> bool:
+    """Whether another agent has been steering our robot for longer than we have."""
+    if (
+        other.robot != mine.robot
+        or other.instance == mine.instance
+        or other.mission_hash != mine.mission_hash
+    ):
+        return False
+    return (other.started_ns, other.instance) < (mine.started_ns, mine.instance)

@@ -1,0 +1,135 @@
+"""`fieldkit agent`: one robot's part of a team without a common computer. Heavy imports stay inside the command."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fieldkit import settings as given
+from mission.cli.options import JsonOption, run_folder, say
+
+KEY_FILE = "mission.key"
+
+
+def agent(
+    mission_file: Annotated[
+        Path, typer.Argument(metavar="MISSION.TOML", help="The mission file, the same on all.")
+    ],
+    robot: Annotated[str, typer.Option(metavar="NAME", help="The robot whose computer this is.")] = "",
+    key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The mission's key; default: mission.key beside the file."),
+    ] = None,
+    new_key: Annotated[
+        bool, typer.Option("--new-key", help="Write a key, to be copied to all robots, and end.")
+    ] = False,
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ADDRESS", help="Where another agent is: tcp/192.168.1.11:7447; repeat."),
+    ] = None,
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ADDRESS", help="Where this one is reached: tcp/0.0.0.0:7447; repeat."),
+    ] = None,
+    scouting: Annotated[
+        bool, typer.Option("--scouting/--no-scouting", help="Look for others by multicast.")
+    ] = True,
+    contact_m: Annotated[
+        float | None,
+        typer.Option(help="Robots hear each other within so many metres, for sure; else nothing is assumed."),
+    ] = None,
+    bytes_s: Annotated[
+        float,
+        typer.Option(
+            min=given.AGENT_BYTES_S.low,
+            max=given.AGENT_BYTES_S.high,
+            help="What this agent sends at the most, a second.",
+        ),
+    ] = given.AGENT_BYTES_S.default,
+    out: Annotated[Path, typer.Option(help="Folder that gets a new folder for this run.")] = Path("runs"),
+    override: Annotated[
+        str,
+        typer.Option(help="Why it may start although its vehicle's check is red; goes into the recording."),
+    ] = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Run one robot's part of a mission on its own computer; the robots' agents talk over Zenoh.
+
+    Each robot decides for itself; those in contact decide alike. Enter holds ALL robots in reach, Ctrl-C ends this
+    agent alone. An agent that was killed goes on by itself when it is started again. Exit code 4: the vehicle has not
+    shown that it holds.
+
+    Example: fieldkit agent mission.toml --robot r1 --connect tcp/192.168.1.11:7447
+    """
+    from fieldkit import plugins
+    from fieldkit.clock import RealClock
+    from fieldkit.engine.decentralised.sealing import parse_key
+    from fieldkit.errors import ConfigError
+    from fieldkit.files import write_whole
+    from fieldkit.ports import DriverContext
+    from mission.cli.missions import print_flown
+    from mission.core.mission_file import read_mission
+    from mission.shell import setups
+    from mission.shell.agent_flight import Options, card_of, fly_agent, interrupted
+    from mission.shell.terminal import Watch
+    from mission.shell.warm_up import warm_up
+
+    key_file = key or mission_file.with_name(KEY_FILE)
+    if new_key:
+        _write_key(key_file)
+        return
+    mission = read_mission(mission_file)
+    clock = RealClock()
+    card = card_of(mission, robot, clock)
+    try:
+        secret = parse_key(key_file.read_text(encoding="ascii"), str(key_file))
+    except (OSError, UnicodeDecodeError):
+        raise ConfigError(
+            f"{key_file}: cannot be read; 'fieldkit agent {mission_file} --new-key' writes one, to be copied to all"
+        ) from None
+    wires = {"listen": listen or [], "connect": connect or [], "scouting": scouting}
+    topic = _topic(secret)
+    network = plugins.load("fieldkit.networks", "zenoh")(topic, wires, DriverContext(clock, mission.frame))
+    setup = setups.of_robot(mission, robot, clock)
+    resumed = interrupted(out, card)
+    options = Options(robot, secret, contact_m, bytes_s, override, resumed)
+    say("preparing the engine (compiled once on a new machine, up to a minute) ...")
+    warm_up(mission)
+    folder = run_folder(out)
+    write_whole(folder / "mission.toml", mission.text)
+    write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
+    if resumed is not None:
+        say(f"goes on with what {robot} knew: {resumed}", always=True)
+    say(f"{robot} records to {folder}; looks for others {network.where}")
+    with Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
+        runner = fly_agent(mission, setup, network, card, options, folder, watch.show)
+    print_flown(runner, folder, as_json=as_json)
+
+
+def _topic(secret: bytes) -> str:
+    """Where agents of one key meet: nobody learns the key from it."""
+    from fieldkit.engine.decentralised.sealing import session_key
+
+    return session_key(secret, "topic").hex()[:12]
+
+
+def _write_key(path: Path) -> None:
+    """A fresh key, for nobody else to read."""
+    import os
+    import secrets
+
+    from fieldkit.engine.decentralised.sealing import KEY_BYTES
+    from fieldkit.errors import ConfigError, NotWritten
+
+    try:
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError:
+        raise ConfigError(
+            f"{path}: exists already, and is never overwritten: the other robots may have it"
+        ) from None
+    except OSError as error:
+        raise NotWritten(path, error) from error
+    with os.fdopen(file, "w", encoding="ascii") as stream:
+        stream.write(secrets.token_hex(KEY_BYTES) + "\n")
+    typer.echo(f"written: {path}; copy it, the mission file and the antenna file to all robots")

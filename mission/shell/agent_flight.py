@@ -1,0 +1,161 @@
+"""One robot's agent from start to end in this process: its devices, its files, its journal."""
+
+import asyncio
+import hashlib
+import secrets
+import socket
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fieldkit.clock import Clock
+from fieldkit.engine.decentralised.card import Card
+from fieldkit.engine.decentralised.logs import Logs
+from fieldkit.engine.decentralised.sealing import Seal, session_key
+from fieldkit.engine.decentralised.talk import Talk
+from fieldkit.errors import ConfigError
+from fieldkit.messages import Operator
+from fieldkit.ports import Network
+from fieldkit.recording.made_with import software
+from fieldkit.recording.writer import RecordingWriter
+from mission.core.agent import Agent
+from mission.core.mission_file import Mission
+from mission.safety.apart import least_contact_m
+from mission.safety.rules import Safety
+from mission.shell import journal as journals
+from mission.shell.agent_runner import AgentRunner, Crew
+from mission.shell.chronicle import Chronicle
+from mission.shell.keyboard import keyboard
+from mission.shell.runner import Progress
+from mission.shell.setups import Setup
+
+LEAST_NS = 1_735_689_600_000_000_000
+"""The beginning of 2025: a clock that says an earlier time was never set."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the operator chooses on one robot's computer."""
+
+    robot: str
+    key: bytes
+    contact_m: float | None
+    bytes_s: float
+    override: str = ""
+    resumed: Path | None = None
+    """The journal of a flight that was interrupted."""
+
+
+def mission_hash(mission: Mission) -> str:
+    """A short hash of everything that must be the same on all robots: mission and antenna file."""
+    both = (mission.text + "\n\0\n" + mission.antenna_text).replace("\r\n", "\n")
+    return hashlib.sha256(both.encode()).hexdigest()[:12]
+
+
+def card_of(mission: Mission, robot: str, clock: Clock) -> Card:
+    """Who the agent is. Raises `ConfigError` for a robot that is not in the mission, or a clock that was never set."""
+    robots = mission.kernel.engine.robots
+    if robot not in robots:
+        raise ConfigError(
+            f"--robot: there is no {robot!r} in {mission.where}; robots are: {', '.join(robots)}"
+        )
+    if clock.now_ns() < LEAST_NS:
+        raise ConfigError(
+            f"this computer's clock says {clock.now_ns() // 1_000_000_000} s since 1970, which is long past: set it "
+            "first, by a satellite receiver (gpsd with chrony) or from another robot's computer"
+        )
+    made = software()
+    return Card(
+        robot,
+        mission.file.name,
+        mission_hash(mission),
+        made["fieldkit"],
+        made["code"],
+        socket.gethostname(),
+        secrets.token_hex(4),
+        clock.now_ns(),
+    )
+
+
+def make_agent(mission: Mission, card: Card, options: Options) -> Agent:
+    """The agent, with what an interrupted flight had observed. Raises `ConfigError`."""
+    least_m = least_contact_m(mission.safety)
+    if options.contact_m is not None and options.contact_m < least_m:
+        raise ConfigError(
+            f"--contact-m: expected at least {least_m:.1f} m, in which two robots that come towards each other can "
+            f"stop, got {options.contact_m:g}"
+        )
+    robots = mission.kernel.engine.robots
+    logs = Logs(card.robot, robots)
+    if options.resumed is not None:
+        journals.load(options.resumed, logs)
+    seal = Seal(session_key(options.key, card.common), robots.index(card.robot))
+    return Agent(mission.kernel, Talk(logs, seal, options.bytes_s))
+
+
+def fly_agent(
+    mission: Mission,
+    setup: Setup,
+    network: Network,
+    card: Card,
+    options: Options,
+    folder: Path,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> AgentRunner:
+    """Run one robot's part of a mission; the runner, ended. Recordings and journal are closed whatever happens."""
+    agent = make_agent(mission, card, options)
+    metadata: dict[str, Any] = {
+        "mission": mission.file.name,
+        "seed": mission.file.seed,
+        **mission.recorded_settings,
+    }
+    with ExitStack() as stack:
+
+        def writer(name: str, more: dict[str, Any], start_ns: int) -> RecordingWriter:
+            return stack.enter_context(
+                RecordingWriter(
+                    folder / name,
+                    mission_toml=mission.text,
+                    antenna_toml=mission.antenna_text,
+                    metadata={**metadata, **more},
+                    frame=mission.frame,
+                    start_ns=start_ns,
+                )
+            )
+
+        journal = journals.Journal(folder / journals.NAME)
+        stack.enter_context(closing(journal))
+        journal.begin(card.robot, card.mission_hash)
+        common = Chronicle(
+            agent.common.kernel, Safety(mission.safety), writer("common.mcap", {"common": True}, 0)
+        )
+        agent.common.witness = common.step
+        crew = Crew(agent, network, options.key, card, journal, options.contact_m, common)
+        recorder = writer("mission.mcap", {"agent": card.robot}, setup.clock.now_ns())
+        runner = AgentRunner(mission, setup, recorder, on_progress, (), options.override, crew=crew)
+        _stand_by_orders(runner)
+
+        async def run() -> None:
+            if setup.tap is not None:
+                setup.tap.listen(lambda robot, data: recorder.raw(setup.clock.now_ns(), robot, data))
+            async with network:
+                with keyboard(runner):
+                    await runner.run()
+
+        asyncio.run(run())
+    return runner
+
+
+def _stand_by_orders(runner: AgentRunner) -> None:
+    """What operators ordered before a restart stands: safety is told again, in order."""
+    logs = runner.crew.agent.logs
+    entries = [entry for log in logs.entries.values() for entry in log if isinstance(entry.event, Operator)]
+    for entry in sorted(entries, key=lambda entry: entry.order_ns):
+        runner.safety.observe(entry.event)
+
+
+def interrupted(out: Path, card: Card) -> Path | None:
+    """The journal of this robot's flight of this mission that was interrupted not long ago."""
+    return journals.interrupted(out, card.robot, card.mission_hash, card.started_ns * 1e-9)

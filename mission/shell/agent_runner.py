@@ -1,0 +1,255 @@
+"""The shell round an agent: a runner with one robot's devices, the network, and the journal.
+
+What decides is the agent; what steers, stops, starts and ends is the runner's as for any mission. Orders of other
+robots' operators come through the inbox like one's own, and stop the robot before anything else is thought about.
+Messages are taken in by the event loop, also while the agent thinks in its thread: logs only grow at their ends, and a
+step looks only at what was closed before it began.
+"""
+
+import logging
+import math
+from collections.abc import AsyncIterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from fieldkit.engine.decentralised.card import MARK, Card, is_second, read_card, refusal
+from fieldkit.engine.decentralised.packing import quantised
+from fieldkit.errors import ConfigError, RecordingError
+from fieldkit.messages import Command, EndMission, Event, Operator, Pose, ReceiverState, Tick, VehicleState
+from fieldkit.ports import Network
+from fieldkit.settings import TICK_S
+from mission.core.agent import Agent
+from mission.core.fleet import Fleet, Robot
+from mission.core.kernel import Kernel, Outcome
+from mission.safety.apart import SafetyApart
+from mission.safety.rules import Safety
+from mission.shell.chronicle import Chronicle
+from mission.shell.journal import Journal
+from mission.shell.runner import Runner
+
+logger = logging.getLogger(__name__)
+
+CARD_EVERY_S = 5.0
+LOOK_ROUND_S = 3.0
+"""Before the start an agent listens for so long: for a second one of its robot, and for its own log."""
+LINGER_S = 10.0
+"""So long after the end others may still fetch what they lack."""
+
+
+@dataclass
+class Crew:
+    """What an agent has that a mission on one computer has not."""
+
+    agent: Agent
+    network: Network
+    key: bytes
+    card: Card
+    journal: Journal
+    contact_m: float | None = None
+    """Within which distance the robots hear each other, where the operator says so."""
+    common: Chronicle | None = None
+    """Writes down what all agree on."""
+
+
+@dataclass
+class AgentRunner(Runner):
+    """One robot's part of a mission. `run` once."""
+
+    crew: Crew = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        self._own = Fleet(self.mission.kernel)
+        self._foreign: list[Operator] = []
+        """Orders of others that are in the inbox."""
+        self._refused: set[str] = set()
+        """Agents that were said not to belong here."""
+        self._present: set[str] = set()
+        self._ages_s: dict[str, float] = {}
+        """How old what was known of each other robot was at the last tick."""
+        self._card_s = -math.inf
+        self.strangers = 0
+        """Cards that were signed with another key."""
+        super().__post_init__()
+
+    @property
+    def me(self) -> str:
+        return self.crew.agent.me
+
+    @property
+    def robots(self) -> Mapping[str, Robot]:
+        """Its own robot alone must be there before the start."""
+        return {self.me: self._own.robots[self.me]}
+
+    def minds(self) -> tuple[Kernel, Safety]:
+        """The agent's line, and a safety that knows others by hearsay."""
+        safety = SafetyApart(self.mission.safety, me=self.me, contact_m=self.crew.contact_m)
+        return self.crew.agent.line.kernel, safety
+
+    # -- what comes in -------------------------------------------------------------------------------------
+
+    def decide(self, event: Event) -> Outcome:
+        """The agent's word. Others' orders it has from their logs."""
+        if isinstance(event, Pose | ReceiverState | VehicleState):
+            self._own.take_in(event)
+        if isinstance(event, Operator) and event in self._foreign:
+            self._foreign.remove(event)
+            why = f": {event.reason}" if event.reason else ""
+            return Outcome(notes=(f"from another robot: {event.action} {event.robot or 'all'}{why}",))
+        outcome = self.crew.agent.step(event)
+        self.kernel = self.records.kernel = self.crew.agent.line.kernel
+        return outcome
+
+    def put(self, event: Event) -> None:
+        """Into the inbox; an operator's order goes out to the others as well, at once."""
+        super().put(event)
+        if (
+            isinstance(event, Operator)
+            and event not in self._foreign
+            and event.action not in ("end", "withdraw")
+        ):
+            order = quantised(event)
+            assert isinstance(order, Operator)
+            self.crew.network.publish(
+                self.crew.agent.talk.order(order, self.setup.clock.now_ns()), urgent=True
+            )
+
+    def _streams(self) -> list[tuple[str, AsyncIterator[Event]]]:
+        return [*super()._streams(), ("network", self._listen())]
+
+    async def _listen(self) -> AsyncIterator[Event]:
+        crew, agent = self.crew, self.crew.agent
+        async for data in crew.network.messages():
+            now_ns = self.setup.clock.now_ns()
+            if data.startswith(MARK):
+                self._meet(read_card(crew.key, data, now_ns))
+                continue
+            for order in agent.take(data, now_ns):
+                self._foreign.append(order)
+                yield order
+            for event in agent.fresh:
+                self.safety.observe(event)
+            agent.fresh.clear()
+            self._expect()
+
+    def _expect(self) -> None:
+        assert isinstance(self.safety, SafetyApart)
+        for name, peer in self.crew.agent.talk.peers.items():
+            self.safety.expect(name, peer.target)
+
+    def _meet(self, card: Card | None) -> None:
+        """Another agent says who it is. Raises `ConfigError` where it has our robot already."""
+        mine = self.crew.card
+        if card is None:
+            self.strangers += 1
+            return
+        if is_second(mine, card):
+            raise ConfigError(
+                f"{mine.robot} has an agent already, on {card.host}: end that one first; nothing was moved by this one"
+            )
+        reason = refusal(mine, card)
+        if not reason and card.robot == mine.robot and card.instance != mine.instance:
+            reason = f"a second agent for {mine.robot}, on {card.host}, has to end"
+        if reason and card.instance not in self._refused:
+            self._refused.add(card.instance)
+            self._say(reason)
+
+    # -- what goes out -------------------------------------------------------------------------------------
+
+    async def _start(self) -> None:
+        """Look round first: nothing of the robot's is touched where another agent has it."""
+        clock, until_s = self.setup.clock, self.setup.clock.elapsed_s() + LOOK_ROUND_S
+        while clock.elapsed_s() < until_s:
+            self._speak()
+            await clock.sleep(TICK_S)
+        if not self.crew.agent.talk.in_range(clock.now_ns()):
+            where = self.crew.network.where
+            self._say(
+                f"no other agent is heard yet (looked {where}); it goes on looking, and after a while alone"
+            )
+        await super()._start()
+
+    async def _step(self, number: int, t_ns: int, event: Event, pool: ThreadPoolExecutor) -> None:
+        await super()._step(number, t_ns, event, pool)
+        if isinstance(event, Tick):
+            self._speak()
+            self._mind_contact()
+
+    def _speak(self) -> None:
+        """What is new goes to the journal, and then to the others."""
+        crew, now_ns = self.crew, self.setup.clock.now_ns()
+        crew.journal.write(crew.agent.logs)
+        for message in crew.agent.messages(now_ns):
+            crew.network.publish(message)
+        now_s = self.setup.clock.elapsed_s()
+        if now_s - self._card_s >= CARD_EVERY_S:
+            self._card_s = now_s
+            card = replace(crew.card, sent_ns=now_ns).to_bytes(crew.key)
+            crew.agent.talk.sent["card"] += len(card)
+            crew.network.publish(card)
+        if crew.agent.talk.lost:
+            raise RecordingError(
+                f"the others know more of {self.me} than its own journal, so its log cannot be gone on with: start its "
+                "agent anew while others are in reach, and it gets its log back from them"
+            )
+
+    def _mind_contact(self) -> None:
+        """Say who has gone out of contact, and who has come back."""
+        agent, now_ns = self.crew.agent, self.setup.clock.now_ns()
+        self._ages_s = agent.ages_s(now_ns)
+        present = set(agent.present(now_ns)) - {self.me}
+        for name in sorted(self._present - present):
+            self._say(f"{name} is out of contact: what is known of it is {self._ages_s[name]:.0f} s old")
+        for name in sorted(present - self._present):
+            self._say(f"{name} is in contact")
+        self._present = present
+
+    def _carry_out(self, command: Command) -> None:
+        """Its own robot's commands alone are its own to give."""
+        if not isinstance(command, EndMission):
+            if command.robot != self.me:
+                return
+            self.crew.agent.ordered(command)
+        super()._carry_out(command)
+
+    async def _leave(self) -> None:
+        """The robot holds first; then the others fetch what they lack."""
+        await super()._leave()
+        self.crew.journal.write(self.crew.agent.logs)
+        self.crew.journal.end()
+        clock, agent = self.setup.clock, self.crew.agent
+        until_s = clock.elapsed_s() + LINGER_S
+        while clock.elapsed_s() < until_s and self._somebody_lacks():
+            for message in agent.messages(clock.now_ns()):
+                self.crew.network.publish(message)
+            await clock.sleep(TICK_S)
+
+    def _somebody_lacks(self) -> bool:
+        talk = self.crew.agent.talk
+        counts = talk.logs.counts()
+        return any(
+            talk.peers[name].counts.get(key, 0) < count
+            for name in talk.in_range(self.setup.clock.now_ns())
+            for key, count in counts.items()
+        )
+
+    async def _finish(self, t_ns: int) -> None:
+        if self.crew.common is not None and self.crew.common.steps:
+            self.crew.common.end(t_ns, self.end_reason)
+        await super()._finish(t_ns)
+
+    def result(self) -> dict[str, Any]:
+        """How it ended, and what was said and heard."""
+        agent, talk = self.crew.agent, self.crew.agent.talk
+        ages = {
+            name: round(age_s, 1) if math.isfinite(age_s) else None for name, age_s in self._ages_s.items()
+        }
+        return super().result() | {
+            "robot": self.me,
+            "common_hash": agent.common.kernel.digest(),
+            "common_tick": agent.common.horizon,
+            "bytes_sent": dict(talk.sent),
+            "bytes_heard": talk.heard_bytes,
+            "dropped": dict(talk.seal.dropped) | {"strangers": self.strangers, "unreadable": talk.refused},
+            "age_s": ages,
+        }

@@ -1,0 +1,127 @@
+"""An agent's logs on its own disk, written before anything of them is said: what others may have, it has itself.
+
+A record is its length, its CRC and what it holds; a kill cuts the last one at the most. A robot whose agent was killed
+goes on with its log where the journal ends, so that no number of it is ever given twice.
+"""
+
+import json
+import logging
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fieldkit.engine.decentralised import packing
+from fieldkit.engine.decentralised.logs import Key, Logs, Part
+from fieldkit.errors import RecordingError
+
+logger = logging.getLogger(__name__)
+
+NAME = "observations.log"
+_HEAD = struct.Struct("<II")
+HEADER, PART, CLOSED, END = range(4)
+LARGEST_RECORD = 1_000_000
+ENTRIES = 200
+"""Of a record at the most."""
+RESUME_WITHIN_S = 7_200.0
+"""A journal that was left longer ago belongs to a mission that is over."""
+
+
+@dataclass
+class Journal:
+    """An open journal. `write` adds what is new in the logs."""
+
+    path: Path
+    failure: str = ""
+    """Why nothing is written any more; empty while it is."""
+    _file: int = -1
+    _counts: dict[Key, int] = field(default_factory=dict)
+    _closed: dict[Key, int] = field(default_factory=dict)
+
+    def begin(self, robot: str, mission_hash: str) -> None:
+        """Start the file."""
+        self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+        self._add(HEADER, json.dumps([robot, mission_hash]).encode())
+
+    def write(self, logs: Logs) -> None:
+        """What has come to be known, then up to where logs are closed. With the operating system when this returns."""
+        for key, log in logs.entries.items():
+            count = len(log)
+            for first in range(self._counts.get(key, 0), count, ENTRIES):
+                out = packing.Bytes()
+                part = Part(*key, first, tuple(log[first : min(count, first + ENTRIES)]))
+                packing.pack_part(out, part, logs.robots, 0)
+                self._add(PART, bytes(out.data))
+            self._counts[key] = count
+        changed = {key: tick for key, tick in logs.closed.items() if tick != self._closed.get(key)}
+        if changed:
+            self._closed |= changed
+            rows = [[*key, tick] for key, tick in changed.items()]
+            self._add(CLOSED, json.dumps(rows, separators=(",", ":")).encode())
+
+    def end(self) -> None:
+        """The mission is over for this robot: nobody goes on with this journal."""
+        self._add(END, b"")
+
+    def close(self) -> None:
+        """Closing twice is harmless."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def _add(self, kind: int, data: bytes) -> None:
+        if self.failure or self._file < 0:
+            return
+        body = bytes((kind,)) + data
+        try:
+            os.write(self._file, _HEAD.pack(len(body), zlib.crc32(body)) + body)
+        except OSError as error:
+            self.failure = f"{self.path}: cannot be written: {error.strerror or error}"
+            logger.error(
+                "%s. The mission goes on; what this robot observes is with the others alone", self.failure
+            )
+
+
+def load(path: Path, logs: Logs) -> int:
+    """Take a journal into logs that have not begun; how many observations it held. A cut end is left out."""
+    count = 0
+    try:
+        for kind, data in _records(path):
+            if kind == PART:
+                count += len(logs.take(packing.unpack_part(packing.Reader(data), logs.robots, 0)))
+            elif kind == CLOSED:
+                for robot, stream, tick in json.loads(data):
+                    key = next(key for key in logs.closed if key == (robot, stream))
+                    logs.closed[key] = max(logs.closed[key], int(tick))
+    except (RecordingError, ValueError, StopIteration) as error:
+        logger.warning("%s: is damaged after %d observations: %s", path, count, error)
+    return count
+
+
+def interrupted(out: Path, robot: str, mission_hash: str, now_s: float) -> Path | None:
+    """The latest journal below `out` of this robot and mission that was not ended and not left long ago."""
+    found = []
+    for path in out.glob(f"*/{NAME}"):
+        written_s = path.stat().st_mtime
+        if abs(now_s - written_s) > RESUME_WITHIN_S:
+            continue
+        kinds = list(_records(path))
+        if not kinds or kinds[0] != (HEADER, json.dumps([robot, mission_hash]).encode()):
+            continue
+        if kinds[-1][0] != END:
+            found.append((written_s, path))
+    return max(found)[1] if found else None
+
+
+def _records(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Kind and content of every whole record."""
+    data, at = path.read_bytes(), 0
+    while at + _HEAD.size <= len(data):
+        size, crc = _HEAD.unpack_from(data, at)
+        body = data[at + _HEAD.size : at + _HEAD.size + size]
+        if not 0 < size <= LARGEST_RECORD or len(body) < size or zlib.crc32(body) != crc:
+            return
+        yield body[0], body[1:]
+        at += _HEAD.size + size

@@ -1,0 +1,320 @@
+"""Agents' shells over in-process stand-ins and a simulated network: start, orders, refusals, restart, files."""
+
+import asyncio
+import contextlib
+import os
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fieldkit import jumploop
+from fieldkit.clock import RealClock
+from fieldkit.engine.decentralised.card import Card, is_second, read_card, refusal
+from fieldkit.engine.decentralised.logs import Logs
+from fieldkit.errors import ConfigError
+from fieldkit.jumploop import LoopClock
+from fieldkit.messages import Operator
+from fieldkit.recording.reader import open_recording
+from fieldkit.recording.writer import RecordingWriter
+from fieldkit.world.bodies import Rover
+from fieldkit.world.fake_network import Ether
+from fieldkit.world.fakes import FakeFleet, FakeReceiver
+from fieldkit.world.network import Air
+from mission.core.mission_file import Mission
+from mission.lab.synthetic import small_mission
+from mission.replay.replay import replay
+from mission.safety.rules import Safety
+from mission.shell import journal as journals
+from mission.shell.agent_flight import Options, card_of, interrupted, make_agent, mission_hash
+from mission.shell.agent_runner import AgentRunner, Crew
+from mission.shell.chronicle import Chronicle
+from mission.shell.setups import Setup, start_places
+
+START_NS = 1_800_000_000 * 10**9
+KEY = bytes(range(32))
+
+
+class Robot:
+    """One robot of two: its vehicle, radio, files and agent."""
+
+    def __init__(
+        self, name: str, mission: Mission, clock: LoopClock, ether: Ether, folder: Path, body: Rover
+    ) -> None:
+        self.name, self.mission, self.clock, self.folder = name, mission, clock, folder
+        self.fleet, self.radio = FakeFleet({name: body}, clock), FakeReceiver(name, clock)
+        self.network = ether.member(name)
+        self.runner: AgentRunner | None = None
+        self.flights = 0
+
+    async def fly(self, resumed: Path | None = None) -> AgentRunner:
+        self.flights += 1
+        folder = self.folder / f"{self.name}-{self.flights}"
+        folder.mkdir()
+        mission, clock = self.mission, self.clock
+        card = card_of(mission, self.name, clock)
+        options = Options(self.name, KEY, 5.0, 1400.0, resumed=resumed)
+        agent = make_agent(mission, card, options)
+        with contextlib.ExitStack() as stack:
+            writers = [
+                stack.enter_context(
+                    RecordingWriter(
+                        folder / name, mission_toml=mission.text, antenna_toml=mission.antenna_text,
+                        metadata={**mission.recorded_settings, **more},
+                    )
+                )
+                for name, more in (("mission.mcap", {"agent": self.name}), ("common.mcap", {}))
+            ]  # fmt: skip
+            journal = stack.enter_context(contextlib.closing(journals.Journal(folder / journals.NAME)))
+            journal.begin(self.name, card.mission_hash)
+            common = Chronicle(agent.common.kernel, Safety(mission.safety), writers[1])
+            agent.common.witness = common.step
+            setup = Setup(clock, (self.radio,), (self.fleet,))
+            crew = Crew(agent, self.network, KEY, card, journal, options.contact_m, common)
+            self.runner = AgentRunner(mission, setup, writers[0], crew=crew)
+            async with self.network:
+                await self.runner.run()
+        return self.runner
+
+    @property
+    def log(self) -> Path:
+        return self.folder / f"{self.name}-{self.flights}"
+
+
+Act = Callable[[dict[str, Robot]], Awaitable[None]]
+
+
+def two(folder: Path, act: Act, duration_s: float = 30.0, air: Air = Air()) -> dict[str, Robot]:
+    """Two robots; `act` starts their agents and whatever else is to happen."""
+    mission = small_mission(folder, duration_s=duration_s, robots=2)
+    clock = LoopClock(START_NS)
+    bodies = {name: Rover(*place) for name, place in start_places(mission).items()}
+    team: dict[str, Robot] = {}
+
+    async def go() -> None:
+        ether = Ether(
+            air, 1, clock, lambda: {name: (body.east_m, body.north_m) for name, body in bodies.items()}
+        )
+        team.update({name: Robot(name, mission, clock, ether, folder, body) for name, body in bodies.items()})
+        await act(team)
+
+    jumploop.run(go())
+    return team
+
+
+async def both(team: dict[str, Robot]) -> None:
+    await asyncio.gather(*(robot.fly() for robot in team.values()))
+
+
+def notes(path: Path) -> str:
+    return "\n".join(note.text for _, note in open_recording(path).notes())
+
+
+def test_two_agents_fly_one_mission_and_leave_the_same_common_recording(tmp_path: Path) -> None:
+    async def act(team: dict[str, Robot]) -> None:
+        async def transmit() -> None:
+            while True:
+                await team["r1"].clock.sleep(4.0)
+                for robot in team.values():
+                    robot.radio.hear(-60.0)
+
+        sending = asyncio.create_task(transmit())
+        await both(team)
+        sending.cancel()
+
+    team = two(tmp_path, act)
+    ended = {name: robot.runner.result() for name, robot in team.items() if robot.runner}
+    assert all("time is up" in result["end_reason"] for result in ended.values())
+    assert ended["r1"]["common_hash"] == ended["r2"]["common_hash"] and ended["r1"]["detections"] >= 5
+    for robot in team.values():
+        done = replay(robot.log / "common.mcap")
+        assert done.complete and done.compared > 100
+        assert max(abs(robot.fleet.rovers[robot.name].speed_m_s), 0.0) < 0.05
+        own = open_recording(robot.log / "mission.mcap")
+        assert own.complete and own.metadata["agent"] == robot.name
+        said = notes(robot.log / "mission.mcap")
+        other = "r2" if robot.name == "r1" else "r1"
+        assert f"{other} is in contact" in said
+    hashes = [open_recording(robot.log / "common.mcap").result() for robot in team.values()]
+    assert (
+        hashes[0]["belief_hash"] == hashes[1]["belief_hash"]
+        and hashes[0]["commands_hash"] == hashes[1]["commands_hash"]
+    )  # type: ignore[index]
+    sent = sum(ended["r1"]["bytes_sent"].values())
+    assert 0 < sent / 40.0 < 200.0
+
+
+def test_hold_all_at_one_robot_stops_the_other_at_once_and_resume_lets_it_go_on(tmp_path: Path) -> None:
+    waited: list[float] = []
+
+    async def act(team: dict[str, Robot]) -> None:
+        flights = asyncio.create_task(both(team))
+        r1, r2 = team["r1"], team["r2"]
+        while r2.fleet.rovers["r2"].speed_m_s < 0.1:
+            await r1.clock.sleep(0.1)
+        assert r1.runner is not None
+        r1.runner.put(Operator(r1.clock.now_ns(), "hold", None, "stop"))
+        began_s = r1.clock.elapsed_s()
+        while r2.fleet.rovers["r2"].target_m is not None:
+            await r1.clock.sleep(0.01)
+        waited.append(r1.clock.elapsed_s() - began_s)
+        await r1.clock.sleep(5.0)
+        assert all(robot.fleet.rovers[name].target_m is None for name, robot in team.items())
+        r1.runner.put(Operator(r1.clock.now_ns(), "resume", None, "go on"))
+        while r2.fleet.rovers["r2"].target_m is None:
+            await r1.clock.sleep(0.1)
+        await flights
+
+    team = two(tmp_path, act, duration_s=40.0)
+    assert waited[0] < 0.2
+    assert "from another robot: hold all: stop" in notes(team["r2"].log / "mission.mcap")
+
+
+def test_ctrl_c_ends_one_agent_and_the_other_goes_on_without_it(tmp_path: Path) -> None:
+    async def act(team: dict[str, Robot]) -> None:
+        flights = asyncio.create_task(both(team))
+        r1, r2 = team["r1"], team["r2"]
+        await r1.clock.sleep(12.0)
+        assert r1.runner is not None and r2.runner is not None
+        r1.runner.put(Operator(r1.clock.now_ns(), "end", None, "interrupted (SIGINT)"))
+        await r1.clock.sleep(30.0)
+        assert r1.runner.end_reason and not r2.runner.end_reason
+        assert r2.runner.kernel.robots["r1"].held
+        await flights
+
+    team = two(tmp_path, act, duration_s=60.0)
+    assert "r1 is out of contact" in notes(team["r2"].log / "mission.mcap")
+    assert team["r2"].runner is not None and "time is up" in team["r2"].runner.end_reason
+
+
+def test_a_killed_agent_goes_on_with_its_log_and_all_agree_again(tmp_path: Path) -> None:
+    async def act(team: dict[str, Robot]) -> None:
+        r1, r2 = team["r1"], team["r2"]
+        flights = [asyncio.create_task(r1.fly()), asyncio.create_task(r2.fly())]
+        await r1.clock.sleep(12.0)
+        flights[1].cancel()
+        await asyncio.wait({flights[1]})
+        journal = r2.log / journals.NAME
+        journal.write_bytes(journal.read_bytes()[:-30])  # as a kill leaves it: no end, and a cut record
+        await r1.clock.sleep(20.0)
+        flights[1] = asyncio.create_task(r2.fly(journal))
+        await asyncio.gather(*flights)
+
+    team = two(tmp_path, act, duration_s=70.0)
+    first, second = (robot.runner.result() for robot in team.values() if robot.runner)
+    assert first["common_hash"] == second["common_hash"] and "time is up" in second["end_reason"]
+    assert team["r2"].flights == 2
+    assert replay(team["r2"].log / "common.mcap").compared > 100
+    assert "r2 is in contact" in notes(team["r1"].log / "mission.mcap")
+
+
+# -- who belongs together --------------------------------------------------------------------------------------
+
+
+def test_a_second_agent_for_a_robot_refuses_and_the_first_says_so(tmp_path: Path) -> None:
+    async def act(team: dict[str, Robot]) -> None:
+        first = asyncio.create_task(both(team))
+        r1 = team["r1"]
+        await r1.clock.sleep(8.0)
+        running = r1.runner
+        twin = Robot("r1", r1.mission, r1.clock, r1.network._ether, tmp_path / "twin", Rover(5.0, 5.0))
+        twin.folder.mkdir()
+        r1.network._ether._members["r1 twin"] = twin.network
+        r1.network._ether._members["r1"] = r1.network
+        twin.network._name = "r1 twin"
+        places = r1.network._ether._places_m
+        r1.network._ether._places_m = lambda: {**places(), "r1 twin": (5.0, 5.0)}
+        with pytest.raises(ConfigError, match="r1 has an agent already"):
+            await twin.fly()
+        assert twin.fleet.rovers["r1"].target_m is None and r1.runner is running
+        await first
+
+    team = two(tmp_path, act, duration_s=15.0)
+    assert "a second agent for r1" in notes(team["r1"].log / "mission.mcap")
+
+
+def card(mission: Mission, robot: str = "r1") -> Card:
+    return replace(card_of(mission, robot, RealClock()), host="box")
+
+
+def test_others_are_refused_by_name(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path, robots=2)
+    mine = card(mission)
+    changed = replace(mission, text=mission.text.replace("rate_hz = 0.1", "rate_hz = 0.2"))
+    assert mission_hash(changed) != mission_hash(mission)
+    assert mission_hash(replace(mission, text=mission.text.replace("\n", "\r\n"))) == mission_hash(mission)
+    other = card(changed, "r2")
+    assert "r2 on box has another mission or antenna file" in refusal(mine, other)
+    older = replace(card(mission, "r2"), version="0.0.9", code="abc")
+    assert "runs another fieldkit (0.0.9, code abc" in refusal(mine, older)
+    assert refusal(mine, card(mission, "r2")) == "" and not is_second(mine, card(mission))
+    assert is_second(card(mission), mine) and not is_second(mine, mine)
+
+
+def test_a_card_is_read_by_those_who_have_the_key_and_not_for_long(tmp_path: Path) -> None:
+    now_ns = RealClock().now_ns()
+    mine = replace(card(small_mission(tmp_path)), sent_ns=now_ns)
+    data = mine.to_bytes(KEY)
+    assert read_card(KEY, data, now_ns) == mine
+    assert read_card(bytes(32), data, now_ns) is None and read_card(KEY, data, now_ns + 300 * 10**9) is None
+    assert read_card(KEY, data[:-1], now_ns) is None and read_card(KEY, b"\x00card", now_ns) is None
+
+
+def test_what_cannot_be_is_said_before_anything_moves(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path)
+    with pytest.raises(ConfigError, match="there is no 'r9'"):
+        card_of(mission, "r9", RealClock())
+    with pytest.raises(ConfigError, match="set it first"):
+        card_of(mission, "r1", LoopClockOf1970())
+    with pytest.raises(ConfigError, match="--contact-m: expected at least"):
+        make_agent(mission, card(mission), Options("r1", KEY, 0.5, 1400.0))
+
+
+class LoopClockOf1970(RealClock):
+    def now_ns(self) -> int:
+        return 12 * 10**9
+
+
+# -- the journal -----------------------------------------------------------------------------------------------
+
+
+def test_a_journal_is_taken_up_only_by_its_robot_mission_and_in_time(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path, robots=2)
+    mine = card(mission)
+    agent = make_agent(mission, mine, Options("r1", KEY, None, 1400.0))
+    folder = tmp_path / "runs" / "one"
+    folder.mkdir(parents=True)
+    journal = journals.Journal(folder / journals.NAME)
+    journal.begin("r1", mine.mission_hash)
+    agent.step(Operator(START_NS, "hold", None, "stop"))
+    journal.write(agent.logs)
+    out = tmp_path / "runs"
+    assert interrupted(out, mine) == journal.path
+    assert interrupted(out, replace(mine, robot="r2")) is None
+    assert interrupted(out, replace(mine, mission_hash="other")) is None
+    assert interrupted(out, replace(mine, started_ns=mine.started_ns + 3 * 3600 * 10**9)) is None
+    logs = Logs("r1", agent.logs.robots)
+    assert journals.load(journal.path, logs) == 1 and logs.entries == agent.logs.entries
+    journal.end()
+    journal.close()
+    assert interrupted(out, mine) is None
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a full disk of Linux")
+def test_a_disk_that_fails_is_said_once_and_the_agent_goes_on(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    mission = small_mission(tmp_path, robots=2)
+    agent = make_agent(mission, card(mission), Options("r1", KEY, None, 1400.0))
+    journal = journals.Journal(tmp_path / journals.NAME)
+    journal.begin("r1", "x")
+    journal.close()
+    journal._file = os.open("/dev/full", os.O_WRONLY)
+    agent.step(Operator(START_NS, "hold"))
+    journal.write(agent.logs)
+    journal.write(agent.logs)
+    journal.close()
+    assert (
+        "cannot be written: No space left" in journal.failure and caplog.text.count("cannot be written") == 1
+    )
