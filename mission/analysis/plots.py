@@ -70,8 +70,14 @@ def field_map(history: History) -> Figure:
     beyond_m = BEYOND * max(field.size_east_m, field.size_north_m)
     axes.set(xlim=(-beyond_m, field.size_east_m + beyond_m), ylim=(-beyond_m, field.size_north_m + beyond_m))
     axes.set(xlabel="east, m", ylabel="north, m")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncol=5, frameon=False, fontsize=8)
+    legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncol=5, frameon=False, fontsize=8)
     return figure
+
+
+def legend(axes: Axes, **how: Any) -> None:
+    """What the colours mean; nothing where nothing has a name, of which matplotlib would warn whoever reads along."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(**how)
 
 
 def draw_ground(axes: Axes, background: Background) -> None:
@@ -134,8 +140,7 @@ def draw_probability(axes: Axes, history: History) -> None:
     axes.set(
         xlim=(0, max(history.duration_s, 1.0)), ylim=(0, 1.02), xlabel="mission time, s", ylabel="probability"
     )
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
+    legend(axes, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
 
 
 def detections_over_time(history: History) -> Figure:
@@ -163,8 +168,7 @@ def draw_detections(axes: Axes, history: History) -> None:
             )
     axes.axhline(history.mission.kernel.engine.antenna.threshold_dbm, color="grey", lw=0.8, ls="--")
     axes.set(xlim=(0, max(history.duration_s, 1.0)), xlabel="mission time, s", ylabel="RSSI, dBm")
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
+    legend(axes, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
 
 
 def use_of_robots(history: History, rows: Sequence[Stretch]) -> Figure:
@@ -186,7 +190,7 @@ def use_of_robots(history: History, rows: Sequence[Stretch]) -> Figure:
     axes.set_yticks(range(len(robots)), labels=robots)
     axes.set(xlim=(0, max(history.duration_s, 1.0)), xlabel="mission time, s")
     if kinds:
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
+        legend(axes, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
     return figure
 
 
@@ -290,7 +294,7 @@ def residuals(fit: Fit) -> Figure:
         x, np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi)), color="#08519c", label="promised"
     )
     axes.set(xlabel="reading minus prediction, dB", yticks=[])
-    axes.legend(frameon=False, fontsize=8)
+    legend(axes, frameon=False, fontsize=8)
     return figure
 
 
@@ -320,7 +324,7 @@ def found_by_time(rows: Sequence[dict[str, Any]], by: str) -> Figure:
     axes.set(
         xlim=(0, max(last_s, 1.0)), ylim=(0, 1.02), xlabel="mission time, s", ylabel="share of sources found"
     )
-    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
+    legend(axes, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
     return figure
 
 

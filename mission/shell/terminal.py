@@ -146,7 +146,7 @@ def _panel(progress: Progress) -> Group:
     more = len(progress.kernel.sources()) - min(len(listed), MOST_SOURCES)
     alarms = [Text(alarm, style="bold white on red") for alarm in progress.alarms]
     rest = [Text(f"and {more} weaker candidates", style="dim")] if more else []
-    return Group(*alarms, head, sources, *rest, table)
+    return Group(*alarms, head, *([sources] if listed else []), *rest, table)
 
 
 def result_table(plain: dict[str, Any]) -> None:

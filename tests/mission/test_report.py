@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from fieldkit.cli import build
@@ -126,6 +127,17 @@ def test_what_robots_did_differs_on_paper_in_black_and_white() -> None:
     assert looks["held"].pop("hatch")
     greys = sorted(to_rgb(each["color"]) @ np.array([0.299, 0.587, 0.114]) for each in looks.values())
     assert np.diff(greys).min() > 0.1
+
+
+def test_a_plot_without_anything_named_has_no_legend_and_warns_nobody(
+    recwarn: pytest.WarningsRecorder,
+) -> None:
+    axes = Figure().add_subplot()
+    plots.legend(axes, loc="upper left")
+    assert axes.get_legend() is None and not recwarn.list
+    axes.plot([0.0], [0.0], label="r1")
+    plots.legend(axes, loc="upper left")
+    assert axes.get_legend() is not None
 
 
 def test_shares_of_a_robots_time_make_a_whole(log: Path) -> None:
