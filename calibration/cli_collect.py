@@ -20,7 +20,8 @@ def collect(
     receiver: Annotated[
         str,
         typer.Option(
-            help="Receiver driver, as in mission.toml; or a file that describes one, as radio.toml."
+            help="As in 'fieldkit walk': xbee:PORT, or PORT,MAP of a radio that prints, or a file such as "
+            "radio.toml; or the name of a driver, with --set."
         ),
     ] = "xbee",
     setting: Annotated[
@@ -64,7 +65,7 @@ def collect(
     Writes a CSV to fit, whole after every place, and a recording (MCAP) of everything heard beside it.
     Interrupted, it goes on with the CSV when started again.
 
-    Example: fieldkit calibrate collect -o readings.csv --set port=/dev/ttyUSB0 --period-s 0.5
+    Example: fieldkit calibrate collect -o readings.csv --receiver /dev/ttyUSB0,rylr --period-s 5
     """
     from calibration import collect_log
     from calibration.collect import Beacon, Collector
@@ -73,7 +74,7 @@ def collect(
     from fieldkit.clock import RealClock
     from fieldkit.geo import FieldFrame
     from fieldkit.ports import DriverContext
-    from fieldkit.receiver_file import read_receiver
+    from fieldkit.receiver_file import receiver_of
     from fieldkit.recording import RecordingWriter
 
     if not period_s > 0.0:
@@ -88,7 +89,8 @@ def collect(
     elif positions:
         source = by_position_source(positions, address, name, settings(vehicle_setting), around)
         where = PositionFeed(name, source, transmitter)
-    table = read_receiver(Path(receiver)) if receiver.endswith(".toml") else {"driver": receiver}
+    # A bare word is the name of a driver, whose options --set gives.
+    table = receiver_of(receiver) if set(receiver) & set("./:,") else {"driver": receiver}
     options = {key: value for key, value in table.items() if key != "driver"} | settings(setting)
     opened = plugins.load("fieldkit.receivers", table["driver"])(name, options, around)
     log = collect_log.free_path(out.with_suffix(".mcap")) if record is None else record

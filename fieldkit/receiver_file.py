@@ -1,10 +1,22 @@
-"""A file that describes one receiver by the keys of a mission file's `receiver`, for who has no mission file."""
+"""One receiver in the words of an option, or in a file of its own, for who has no mission file."""
 
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from fieldkit.errors import ConfigError
+
+
+def receiver_of(words: str, option: str = "--receiver") -> dict[str, Any]:
+    """A receiver's table from `xbee:PORT`, `PORT[,MAP]` of a radio that prints, or a file. Raises `ConfigError`."""
+    if words == "xbee:" or words.startswith(","):
+        raise ConfigError(f"{option} {words}: expected a port, as in xbee:/dev/ttyUSB0 or /dev/ttyUSB0,rylr")
+    if words.startswith("xbee:"):
+        return {"driver": "xbee", "port": words.removeprefix("xbee:")}
+    if words.endswith(".toml"):
+        return read_receiver(Path(words), option)
+    port, _, line_map = words.partition(",")
+    return {"driver": "lines", "port": port, "map": line_map or "json"}
 
 
 def read_receiver(path: Path, option: str = "--receiver") -> dict[str, Any]:

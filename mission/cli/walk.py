@@ -3,7 +3,7 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -98,6 +98,7 @@ def walk(
     Example: fieldkit walk --receiver /dev/ttyUSB0,rylr --gnss /dev/ttyACM0 --antenna antenna.toml
     """
     from fieldkit.errors import ConfigError
+    from fieldkit.receiver_file import receiver_of
     from mission.cli.missions import print_flown
     from mission.core.mission_file import read_mission
     from mission.core.walk_text import WalkOptions
@@ -119,7 +120,7 @@ def walk(
         _all_there(receiver, gnss, antenna, background)
         picture = "" if background is None else str(background.resolve())
         options = WalkOptions(
-            _receiver(receiver), gnss, Path(antenna or "").name, (0.0, 0.0), size_m, rate_hz, float(sources),
+            receiver_of(receiver), gnss, Path(antenna or "").name, (0.0, 0.0), size_m, rate_hz, float(sources),
             within_m, person=name, background=picture, cot=tuple(cot or ()),
         )  # fmt: skip
         mission = _round_here(options, Path(antenna or "").parent)
@@ -187,21 +188,3 @@ def _round_here(options: "WalkOptions", beside: Path) -> "Mission":
     half_m = options.size_m / 2
     origin_deg = FieldFrame(lat_deg, lon_deg).to_geodetic(-half_m, -half_m)[:2]
     return mission_of(walk_text(replace(options, origin_deg=origin_deg)), where)
-
-
-def _receiver(words: str) -> dict[str, Any]:
-    """A receiver's table from `xbee:PORT`, `PORT[,MAP]` of a radio that prints, or a file. Raises `ConfigError`."""
-    from fieldkit.errors import ConfigError
-
-    if words == "xbee:" or words.startswith(","):
-        raise ConfigError(
-            f"--receiver {words}: expected a port, as in xbee:/dev/ttyUSB0 or /dev/ttyUSB0,rylr"
-        )
-    if words.startswith("xbee:"):
-        return {"driver": "xbee", "port": words.removeprefix("xbee:")}
-    if words.endswith(".toml"):
-        from fieldkit.receiver_file import read_receiver
-
-        return read_receiver(Path(words))
-    port, _, line_map = words.partition(",")
-    return {"driver": "lines", "port": port, "map": line_map or "json"}

@@ -393,10 +393,10 @@ def test_what_is_no_file_is_not_gone_on_with():
 def test_answers_that_end_keep_what_there_is_and_a_missing_radio_leaves_nothing(tmp_path):
     (tmp_path / "lines").write_text("")
     out, port = tmp_path / "r.csv", tmp_path / "lines"
-    words = ["collect", "-o", str(out), "--receiver", "lines", "--set", "map=json", "--set"]
-    done = CliRunner().invoke(app, [*words, f"port={port}", "--period-s", "0.01"], input="5\n")
+    words = ["collect", "-o", str(out), "--period-s", "0.01", "--receiver"]
+    done = CliRunner().invoke(app, [*words, f"{port},json"], input="5\n")
     assert done.exit_code == 130 and "r.csv: 1 place" in done.output and "the same command" in done.output
     assert len(from_csv(out)) == 1
-    missing = CliRunner().invoke(app, [*words, f"port={tmp_path / 'none'}"], input="q\n")
+    missing = CliRunner().invoke(app, [*words, f"{tmp_path / 'none'},json"], input="q\n")
     assert isinstance(missing.exception, DeviceError)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["lines", "r.csv", "r.mcap"]

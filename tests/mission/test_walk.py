@@ -30,9 +30,9 @@ from fieldkit.messages import (
     Waypoint,
 )
 from fieldkit.ports import PositionSource, Receiver
+from fieldkit.receiver_file import receiver_of
 from fieldkit.settings import WALKER
 from fieldkit.world.walker import Walker, WanderingError, body_loss_db
-from mission.cli.walk import _receiver
 from mission.core.advice import advise
 from mission.core.kernel import Kernel
 from mission.core.mission_file import Mission, mission_of, parse_mission
@@ -216,15 +216,15 @@ def test_the_file_of_a_walk_is_a_mission_with_a_person() -> None:
 def test_a_radio_with_a_map_of_its_own_is_walked_with_from_a_file(tmp_path: Path) -> None:
     radio = tmp_path / "radio.toml"
     radio.write_text('port = "-"\nformat = "regex"\npattern = \'S=(?P<rss>\\d+)\'\nunit = "-dBm"\n')
-    table = _receiver(str(radio))
+    table = receiver_of(str(radio))
     text = walk_text(WalkOptions(table, "/dev/x", "a.toml", (47.0, 8.0)))
     receiver = parse_mission(text, "walk").robot[0].receiver
     assert (receiver.driver, (receiver.model_extra or {})["pattern"]) == ("lines", r"S=(?P<rss>\d+)")
-    assert _receiver("/dev/x,rylr") == {"driver": "lines", "port": "/dev/x", "map": "rylr"}
+    assert receiver_of("/dev/x,rylr") == {"driver": "lines", "port": "/dev/x", "map": "rylr"}
     for wrong, says in (("no.toml", "cannot be read"), (str(tmp_path / "empty.toml"), "at least 'port'")):
         (tmp_path / "empty.toml").touch()
         with pytest.raises(ConfigError, match=says):
-            _receiver(wrong)
+            receiver_of(wrong)
 
 
 async def test_a_height_above_the_sea_is_none_above_the_ground_for_those_who_walk() -> None:
