@@ -5,6 +5,7 @@ a field of some kilometres the projections bend by less than a pixel.
 """
 
 import base64
+import contextlib
 import html
 import io
 import logging
@@ -15,6 +16,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -130,12 +132,29 @@ def background_of(ground: Ground, path: Path, crs: str = "") -> Background:
     where = f"field.background: {path}"
     if not path.is_file():
         raise ConfigError(f"{where}: no such file")
-    ending = path.suffix.lower()
+    return _read(ground, path, crs, _state(path))
+
+
+@lru_cache(maxsize=2)
+def _read(ground: Ground, path: Path, crs: str, state: tuple[tuple[str, int, int], ...]) -> Background:
+    """Kept while its files are as they were: an editor asks at every change, and a large picture takes seconds."""
+    where, ending = f"field.background: {path}", path.suffix.lower()
     if ending == ".mbtiles":
         return _tiles(path, where, ground)
     if ending in PICTURES:
         return _picture(path, where, ground, crs)
     raise ConfigError(f"{where}: expected .mbtiles or a picture ({', '.join(PICTURES)}), got '{ending}'")
+
+
+def _state(path: Path) -> tuple[tuple[str, int, int], ...]:
+    """Of a file and of what lies beside it by the same name, as world files do: name, bytes, time of change."""
+    found = []
+    for each in path.parent.iterdir():
+        if each.stem == path.stem or each.name.startswith(path.name):
+            with contextlib.suppress(OSError):  # gone since
+                stat = each.stat()
+                found.append((each.name, stat.st_size, stat.st_mtime_ns))
+    return tuple(sorted(found))
 
 
 def background_or_none(mission: Mission) -> Background | None:

@@ -266,8 +266,24 @@ def test_a_picture_larger_than_can_be_read_says_what_to_make_of_it(
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 60_000)
     assert read(walk(tmp_path, "large.png", "local")).covered > 0.5 and not recwarn.list
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 30_000)
+    module._read.cache_clear()
     with pytest.raises(ConfigError, match="more than 0 million pixels: cut it to the field"):
         read(walk(tmp_path, "large.png", "local"))
+
+
+def test_a_large_picture_is_read_once_until_it_or_its_world_file_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An editor asks for it at every change of the draft."""
+    (tmp_path / "ground.png").write_bytes(png())
+    world(tmp_path / "ground.pgw", (1.0, -1.0), (0.0, 300.0))
+    mission = walk(tmp_path, "ground.png", "local")
+    reads: list[Path] = []
+    encoded = module._encoded
+    monkeypatch.setattr(module, "_encoded", lambda image: [reads.append(tmp_path), encoded(image)][1])
+    assert read(mission) is read(mission) and len(reads) == 1
+    world(tmp_path / "ground.pgw", (1.0, -1.0), (10.0, 300.0))
+    assert read(mission).pictures[0].corners_m[0] == pytest.approx((10.0, 300.0)) and len(reads) == 2
 
 
 # -- a mission with one ------------------------------------------------------------------------------------------
