@@ -7,7 +7,6 @@ way-points wait for their acknowledgement, while vehicles are being acquired, an
 
 import asyncio
 import contextlib
-import socket
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -19,6 +18,7 @@ from fieldkit.geo import FieldFrame
 from fieldkit.messages import GoTo, Waypoint
 from fieldkit.ports import DriverContext, VehicleLink
 from mission.shell.dispatcher import Dispatcher
+from mission.shell.setups import free_udp_port
 
 ROBOTS = 16
 ROUNDS = 6
@@ -124,13 +124,6 @@ async def _begin(bench: _Bench, name: str) -> list[asyncio.Task[Any]]:
         return [asyncio.create_task(bench.dispatcher.acquire())]
     corners = ((-5.0, -5.0), (60.0, -5.0), (60.0, 60.0), (-5.0, 60.0))
     return [asyncio.create_task(bench.link.put_fence(robot, corners)) for robot in bench.link.robots]
-
-
-def free_udp_port() -> int:
-    """A port of this machine that nobody has."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 async def _drain(link: VehicleLink) -> None:

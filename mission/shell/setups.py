@@ -5,6 +5,7 @@ same drivers, through the same wires, as the live one.
 """
 
 import asyncio
+import random
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -23,6 +24,8 @@ from fieldkit.ports import DriverContext, PositionSource, Receiver, VehicleLink
 from fieldkit.world.sources import TransientSource
 from mission.core.mission_file import Mission
 from mission.core.tables import RobotTable
+
+_NOBODYS_PORTS = range(20_000, 30_000)
 
 
 class RawTap:
@@ -216,6 +219,12 @@ def start_places(mission: Mission) -> dict[str, tuple[float, float]]:
 
 
 def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port of this machine that nobody has open, of those that no system gives to who asks for any.
+
+    One of the others may be somebody else's before it is opened: another mission's on a busy machine.
+    """
+    while True:
+        port = random.SystemRandom().choice(_NOBODYS_PORTS)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port

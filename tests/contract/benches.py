@@ -5,7 +5,6 @@ To add a driver, write a bench and put it into the table at the end.
 
 import asyncio
 import contextlib
-import socket
 import tempfile
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -35,6 +34,7 @@ from fieldkit.geo import FieldFrame
 from fieldkit.ports import DriverContext, ReceiverFactory
 from fieldkit.testing import PositionSourceBench, ReceiverBench, VehicleLinkBench
 from fieldkit.world.bodies import Car
+from mission.shell.setups import free_udp_port as free_udp_port  # for the tests of drivers too
 
 FRAME = FieldFrame(47.3977, 8.5456, 400.0)
 
@@ -162,12 +162,6 @@ async def until(condition: Callable[[], object], timeout_s: float = 30.0) -> Non
             return
         await asyncio.sleep(0.005)
     raise AssertionError(f"did not happen within {timeout_s:g} s")
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class RoverOnUdp(asyncio.DatagramProtocol):

@@ -2,7 +2,6 @@
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -10,18 +9,22 @@ from pathlib import Path
 import pytest
 
 from fieldkit.clock import wall_sleep
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+from mission.shell.setups import free_udp_port
 
 
 @pytest.mark.timeout(240)
 def test_what_it_writes_passes_check_and_preflight_and_flies(tmp_path: Path) -> None:
     fieldkit = [sys.executable, "-m", "fieldkit"]
-    words = ["emulate", "field", "--robots", "2", "--sources", "1", "--address", f"127.0.0.1:{free_port()}"]
+    words = [
+        "emulate",
+        "field",
+        "--robots",
+        "2",
+        "--sources",
+        "1",
+        "--address",
+        f"127.0.0.1:{free_udp_port()}",
+    ]
     with subprocess.Popen([*fieldkit, *words], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as field:
         assert field.stdout is not None
         said = ""

@@ -8,7 +8,6 @@ import asyncio
 import json
 import math
 import shutil
-import socket
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,7 @@ from mission.lab.synthetic import ANTENNA, LEVELS_DB
 from mission.replay.replay import resumable
 from mission.safety.limits import SafetySettings
 from mission.shell.runner import Runner
-from mission.shell.setups import Setup, replace_options, start_places, with_vehicles
+from mission.shell.setups import Setup, free_udp_port, replace_options, start_places, with_vehicles
 
 START_NS = 1_760_000_000 * 1_000_000_000
 REACTION_S = 15.0
@@ -258,9 +257,3 @@ def _goes_home(flight: Flight, fault: Fault) -> bool:
 def _forgiven(flight: Flight) -> bool:
     """After a resume of everybody (the mission was killed) a robot may rightly be under way again."""
     return len(flight.recordings) > 1
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
