@@ -7,9 +7,12 @@ from typing import Annotated
 import typer
 
 from fieldkit import settings as given
-from mission.cli.options import JsonOption, run_folder, say
+from mission.cli.missions import UNCONFIRMED_EXIT
+from mission.cli.options import JsonOption, print_json, run_folder, say
 
 KEY_FILE = "mission.key"
+HOLD_S = 15.0
+"""HOLD ALL is said for so long to those that have not shown it."""
 
 
 def agent(
@@ -23,6 +26,12 @@ def agent(
     ] = None,
     new_key: Annotated[
         bool, typer.Option("--new-key", help="Write a key, to be copied to all robots, and end.")
+    ] = False,
+    hold: Annotated[
+        bool,
+        typer.Option(
+            "--hold", help="From a computer without a robot: HOLD ALL in reach, say who does, and end."
+        ),
     ] = False,
     connect: Annotated[
         list[str] | None,
@@ -61,7 +70,11 @@ def agent(
     shown that it holds.
 
     Example: fieldkit agent mission.toml --robot r1 --connect tcp/192.168.1.11:7447
+
+    Example: fieldkit agent mission.toml --hold
     """
+    import asyncio
+
     from fieldkit import plugins
     from fieldkit.clock import RealClock
     from fieldkit.engine.decentralised.sealing import parse_key
@@ -72,6 +85,7 @@ def agent(
     from mission.core.mission_file import read_mission
     from mission.shell import setups
     from mission.shell.agent_flight import Options, card_of, fly_agent, interrupted
+    from mission.shell.hold_all import hold_all
     from mission.shell.terminal import Watch
     from mission.shell.warm_up import warm_up
 
@@ -81,7 +95,8 @@ def agent(
         return
     mission = read_mission(mission_file)
     clock = RealClock()
-    card = card_of(mission, robot, clock)
+    robots = mission.kernel.engine.robots
+    card = card_of(mission, robots[0] if hold else robot, clock)
     try:
         secret = parse_key(key_file.read_text(encoding="ascii"), str(key_file))
     except (OSError, UnicodeDecodeError):
@@ -91,6 +106,10 @@ def agent(
     wires = {"listen": listen or [], "connect": connect or [], "scouting": scouting}
     topic = _topic(secret)
     network = plugins.load("fieldkit.networks", "zenoh")(topic, wires, DriverContext(clock, mission.frame))
+    if hold:
+        said = asyncio.run(hold_all(robots, network, card, secret, clock, HOLD_S))
+        _print_held(said, as_json=as_json)
+        return
     setup = setups.of_robot(mission, robot, clock)
     resumed = interrupted(out, card)
     options = Options(robot, secret, contact_m, bytes_s, override, resumed)
@@ -104,7 +123,25 @@ def agent(
     say(f"{robot} records to {folder}; looks for others {network.where}")
     with Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
         runner = fly_agent(mission, setup, network, card, options, folder, watch.show)
-    print_flown(runner, folder, as_json=as_json)
+    say(f"written: {folder}/{{mission.mcap, common.mcap}}; 'fieldkit report' makes a page of either")
+    # A robot's computer has better to do than to draw.
+    print_flown(runner, folder, as_json=as_json, report=False)
+
+
+def _print_held(said: dict[str, str], *, as_json: bool) -> None:
+    """Who holds; exit code 4 where somebody has not shown it."""
+    if as_json:
+        print_json(said)
+    else:
+        for robot, word in said.items():
+            typer.echo(f"{robot} {word}")
+    others = [robot for robot, word in said.items() if word != "holds"]
+    if others:
+        say(
+            f"NOT CONFIRMED to hold: {', '.join(others)}: stop by hand, or nearer to them once more",
+            always=True,
+        )
+        raise typer.Exit(UNCONFIRMED_EXIT)
 
 
 def _topic(secret: bytes) -> str:

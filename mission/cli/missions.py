@@ -86,12 +86,8 @@ def run(
     print_flown(runner, folder, as_json=as_json)
 
 
-def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
-    """What was found, then the report, then who does not hold: exit code 4 where somebody does not."""
-    from fieldkit.errors import FieldkitError
-    from fieldkit.recording.reader import open_recording
-    from mission.analysis.report import write_report
-    from mission.page.embed import embedded
+def print_flown(runner: "Runner", folder: Path, *, as_json: bool, report: bool = True) -> None:
+    """What was found, then the report if wanted, then who does not hold: exit code 4 where somebody does not."""
     from mission.replay.command import plain_source
     from mission.shell.terminal import sources_table
 
@@ -103,7 +99,7 @@ def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
                 "sources": finds,
                 "recording": str(folder / "mission.mcap"),
                 "recording_failure": runner.recorder.failure,
-                "report": str(folder / "report.html"),
+                **({"report": str(folder / "report.html")} if report else {}),
             }
         )
     else:
@@ -115,9 +111,24 @@ def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
                 say(f"{robot.name}: its radio was down at the end: {robot.radio_why}", always=True)
     if runner.recorder.failure:
         say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above", always=True)
+    if report:
+        _write_report(folder)
+    if runner.unconfirmed:
+        names = ", ".join(runner.unconfirmed)
+        by_hand = "Stop by hand: remote control, or the vehicle's switch"
+        say(f"NOT CONFIRMED to hold: {names}. {by_hand}", always=True)
+        raise typer.Exit(UNCONFIRMED_EXIT)
+
+
+def _write_report(folder: Path) -> None:
+    """The page on a mission just flown; where it cannot be written, how to try again."""
+    from fieldkit.errors import FieldkitError
+    from fieldkit.recording.reader import open_recording
+    from mission.analysis.report import write_report
+    from mission.page.embed import embedded
+
     try:
-        recorded = folder / "mission.mcap"
-        recording = open_recording(recorded)
+        recording = open_recording(folder / "mission.mcap")
         write_report(recording, folder / "report.html", embedded(recording))
     except (OSError, FieldkitError) as error:
         again = f"'fieldkit report {folder}/mission.mcap -o FILE' tries again"
@@ -125,11 +136,6 @@ def print_flown(runner: "Runner", folder: Path, *, as_json: bool) -> None:
     else:
         say(f"written: {folder}/{{mission.mcap, mission.toml, report.html}}")
         say(f"to look again: fieldkit dashboard {folder}/mission.mcap")
-    if runner.unconfirmed:
-        names = ", ".join(runner.unconfirmed)
-        by_hand = "Stop by hand: remote control, or the vehicle's switch"
-        say(f"NOT CONFIRMED to hold: {names}. {by_hand}", always=True)
-        raise typer.Exit(UNCONFIRMED_EXIT)
 
 
 def preflight(

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Logs, Observation
 from fieldkit.engine.decentralised.packing import quantised
-from fieldkit.engine.decentralised.talk import Talk
+from fieldkit.engine.decentralised.talk import Talk, code_of
 from fieldkit.messages import (
     Command,
     Detection,
@@ -65,6 +65,8 @@ class Agent:
     """What it acts on: the common line, or one of those in contact."""
     unloggable: int = 0
     """Observations of its own that hold no numbers."""
+    unlogged: list[Operator] = field(default_factory=list)
+    """Orders of a computer that has no log: whoever obeys one logs it as its own."""
     fresh: list[Event] = field(default_factory=list)
     """What has come to be known of others since the last tick, as it came."""
     patience_s: float = AGENT_WAIT_S
@@ -110,6 +112,10 @@ class Agent:
         said = self.talk.take(data, now_ns)
         if said is None:
             return []
+        if not said.robot and said.order is not None:
+            if self._is_new(said.order):
+                self.unlogged.append(replace(said.order, robot=self.me))
+            return []
         orders = [] if said.order is None else [said.order]
         for entry in said.new:
             if isinstance(entry.event, Operator):
@@ -125,6 +131,7 @@ class Agent:
         self._obeyed.add(order)
         if order.robot not in (None, self.me):
             return order.action in ("exclude", "remove")
+        self.talk.obeyed = code_of(order)
         if order.action == "resume":
             if order.t_ns < self._held_ns:
                 return False

@@ -174,6 +174,11 @@ class Flock:
         for order in agent.take(data, self._now_ns(name)):
             for command in self.safety[name].observe(order):
                 self._obey(name, command)
+        for order in agent.unlogged:
+            agent.step(order)
+            for command in self.safety[name].observe(order):
+                self._obey(name, command)
+        agent.unlogged.clear()
         for event in agent.fresh:
             self.safety[name].observe(event)
         agent.fresh.clear()

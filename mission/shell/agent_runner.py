@@ -127,6 +127,9 @@ class AgentRunner(Runner):
             for order in agent.take(data, now_ns):
                 self._foreign.append(order)
                 yield order
+            for order in agent.unlogged:
+                yield order
+            agent.unlogged.clear()
             for event in agent.fresh:
                 self.safety.observe(event)
             agent.fresh.clear()

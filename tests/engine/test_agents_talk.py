@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fieldkit.engine.decentralised import packing
 from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, TICK_NS, Entry, Logs, Part, Stream
 from fieldkit.engine.decentralised.sealing import OVERHEAD_BYTES, Seal, parse_key, session_key
-from fieldkit.engine.decentralised.talk import ORDER, STATE, Talk
+from fieldkit.engine.decentralised.talk import OPERATOR, ORDER, STATE, Talk, code_of
 from fieldkit.errors import ConfigError, RecordingError
 from fieldkit.messages import Operator, Pose, ReceiverState, RssReading, VehicleState, Waypoint
 from fieldkit.world.network import Air, Network
@@ -250,6 +250,18 @@ def test_an_order_leaves_at_once_and_is_said_again_for_those_who_missed_it() -> 
     assert said is not None and said.order == order
     late = member("c").take(a.messages(START_NS + TICK_NS)[0], START_NS + TICK_NS)
     assert late is not None and late.order == order
+
+
+def test_an_operator_without_a_robot_gives_orders_and_nothing_else() -> None:
+    laptop = Talk(Logs("a", ROBOTS), Seal(KEY, OPERATOR))
+    b = member("b")
+    order = Operator(START_NS, "hold", None, "stop")
+    said = b.take(laptop.say_order(order, START_NS), START_NS)
+    assert said is not None and (said.robot, said.order) == ("", order)
+    assert b.take(laptop.messages(START_NS)[-1], START_NS) is None and b.refused == 1 and not b.peers
+    b.obeyed = code_of(order)
+    laptop.take(b.messages(START_NS)[0], START_NS)
+    assert laptop.peers["b"].obeyed == code_of(order) != code_of(replace(order, t_ns=START_NS + S))
 
 
 def test_a_robot_whose_log_others_know_better_than_itself_is_noticed() -> None:

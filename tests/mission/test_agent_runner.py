@@ -30,6 +30,7 @@ from mission.shell import journal as journals
 from mission.shell.agent_flight import Options, card_of, interrupted, make_agent, mission_hash
 from mission.shell.agent_runner import AgentRunner, Crew
 from mission.shell.chronicle import Chronicle
+from mission.shell.hold_all import hold_all
 from mission.shell.setups import Setup, start_places
 
 START_NS = 1_800_000_000 * 10**9
@@ -93,9 +94,12 @@ def two(folder: Path, act: Act, duration_s: float = 30.0, air: Air = Air()) -> d
     team: dict[str, Robot] = {}
 
     async def go() -> None:
-        ether = Ether(
-            air, 1, clock, lambda: {name: (body.east_m, body.north_m) for name, body in bodies.items()}
-        )
+        def places_m() -> dict[str, tuple[float, float]]:
+            return {name: (body.east_m, body.north_m) for name, body in bodies.items()} | {
+                "laptop": (5.0, 5.0)
+            }
+
+        ether = Ether(air, 1, clock, places_m)
         team.update({name: Robot(name, mission, clock, ether, folder, body) for name, body in bodies.items()})
         await act(team)
 
@@ -169,6 +173,35 @@ def test_hold_all_at_one_robot_stops_the_other_at_once_and_resume_lets_it_go_on(
     team = two(tmp_path, act, duration_s=40.0)
     assert waited[0] < 0.2
     assert "from another robot: hold all: stop" in notes(team["r2"].log / "mission.mcap")
+
+
+def test_a_computer_without_a_robot_holds_all_and_says_who_does(tmp_path: Path) -> None:
+    said: list[dict[str, str]] = []
+
+    async def act(team: dict[str, Robot]) -> None:
+        r1, r2 = team["r1"], team["r2"]
+        laptop = r1.network._ether.member("laptop")
+        mine = card_of(r1.mission, "r1", r1.clock)
+        names = ("r1", "r2")
+        said.append(await hold_all(names, laptop, mine, KEY, r1.clock, 2.0))
+        flights = [asyncio.create_task(r1.fly())]
+        await r1.clock.sleep(8.0)
+        said.append(await hold_all(names, laptop, mine, KEY, r1.clock, 2.0))
+        flights.append(asyncio.create_task(r2.fly()))
+        await r1.clock.sleep(8.0)
+        said.append(await hold_all(names, laptop, mine, KEY, r1.clock, 2.0))
+        await r1.clock.sleep(3.0)
+        for name, robot in team.items():
+            assert robot.runner is not None and robot.fleet.rovers[name].target_m is None
+            assert robot.runner.crew.agent.common.kernel.fleet.any_held(), "it is in the logs"
+        stranger = await hold_all(names, laptop, mine, bytes(32), r1.clock, 1.0)
+        assert set(stranger.values()) == {"is not heard"}
+        await asyncio.gather(*flights)
+
+    team = two(tmp_path, act, duration_s=30.0)
+    silent = dict.fromkeys(("r1", "r2"), "is not heard")
+    assert said == [silent, {"r1": "holds", "r2": "is not heard"}, dict.fromkeys(("r1", "r2"), "holds")]
+    assert "HOLD ALL from the operator's computer" in notes(team["r2"].log / "mission.mcap")
 
 
 def test_ctrl_c_ends_one_agent_and_the_other_goes_on_without_it(tmp_path: Path) -> None:

@@ -155,6 +155,12 @@ def test_two_agents_search_hold_together_and_one_that_is_killed_comes_back(
         start_m = fields["r2"][0].truth()["r2"][:2]
         time.sleep(2.0)
         assert moved_m(fields, "r2", start_m) < 0.2, "the hold stands"
+        wire = ["--connect", f"tcp/127.0.0.1:{port}", "--no-scouting", "--json"]
+        laptop = subprocess.run(
+            [sys.executable, "-m", "fieldkit", "agent", str(tmp_path / "mission.toml"), "--hold", *wire],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert json.loads(laptop.stdout) == dict.fromkeys(NAMES, "holds"), laptop.stderr
         second, first = r2.end(), r1.end()
     finally:
         for agent in (r1, r2):

@@ -12,12 +12,16 @@ from dataclasses import dataclass, field
 
 from fieldkit.engine.decentralised import packing
 from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, TICK_NS, Entry, Key, Logs, Part, Stream
-from fieldkit.engine.decentralised.sealing import OVERHEAD_BYTES, Seal
+from fieldkit.engine.decentralised.sealing import OVERHEAD_BYTES, Opened, Seal
 from fieldkit.errors import RecordingError
 from fieldkit.messages import Operator, Waypoint
 from fieldkit.settings import AGENT_BYTES_S, TICK_S
 
 STATE, PARTS, ORDER = 1, 2, 3
+OPERATOR = 255
+"""The number of a computer that has no robot and no log: it gives orders alone."""
+CODES = 2**14
+"""Orders are acknowledged by their time, in so many numbers: two bytes."""
 MESSAGE_BYTES = 1_000
 """What fits into one datagram on any link."""
 MOST_OF_A_PART = 16
@@ -48,6 +52,8 @@ class Peer:
     """Whom it hears."""
     target: Waypoint | None = None
     """Where it is going."""
+    obeyed: int = -1
+    """The code of the last order that it has obeyed; -1: none."""
     ahead_s: float = 0.0
     """How far its clock is ahead of ours, the time on the way left out of account."""
     round_trips_s: deque[float] = field(default_factory=lambda: deque([ROUND_TRIP_S], maxlen=8))
@@ -79,6 +85,7 @@ class Said:
     """What came of one message."""
 
     robot: str
+    """Empty: the computer of an operator."""
     new: tuple[Entry, ...] = ()
     """Entries that we did not have."""
     order: Operator | None = None
@@ -96,6 +103,8 @@ class Talk:
     sent: Counter[str] = field(default_factory=Counter)
     """Bytes sent, by what they were: "state", "new", "again", "order", and what the shell adds."""
     heard_bytes: int = 0
+    obeyed: int = -1
+    """The code of the last order that our robot has obeyed."""
     refused: int = 0
     """Messages of members that could not be read."""
     lost: bool = False
@@ -117,8 +126,7 @@ class Talk:
             return None
         robots = self.logs.robots
         if opened.sender >= len(robots):
-            self.refused += 1
-            return None
+            return self._from_operator(opened)
         name = robots[opened.sender]
         peer = self.peers.setdefault(name, Peer(now_ns))
         peer.heard_ns, peer.ahead_s = now_ns, (opened.sent_ns - now_ns) * 1e-9
@@ -126,8 +134,7 @@ class Talk:
         try:
             tick = reader.uint()
             if opened.kind == ORDER:
-                t_ns = reader.uint() * STEP_NS
-                return Said(name, order=packing.read_order(reader, t_ns))
+                return Said(name, order=_read_order(reader))
             table = self._read_state(peer, reader, tick) if opened.kind == STATE else {}
             new = self._read_parts(reader, tick)
             self._learn(peer, table, now_ns)
@@ -135,6 +142,16 @@ class Talk:
         except RecordingError:
             self.refused += 1
             return None
+
+    def _from_operator(self, opened: Opened) -> Said | None:
+        reader = packing.Reader(opened.body)
+        try:
+            if opened.sender == OPERATOR and opened.kind == ORDER and reader.uint():
+                return Said("", order=_read_order(reader))
+        except RecordingError:
+            pass
+        self.refused += 1
+        return None
 
     def _read_state(self, peer: Peer, reader: packing.Reader, tick: int) -> dict[Key, tuple[int, int]]:
         """What it has of each log, and up to which tick that is whole."""
@@ -144,6 +161,7 @@ class Talk:
         speed = reader.uint()
         places = (reader.sint() / packing.MM, reader.sint() / packing.MM) if speed else (0.0, 0.0)
         peer.target = Waypoint(*places, (speed - 1) / packing.MM) if speed else None
+        peer.obeyed = reader.uint() - 1
         return {key: (reader.uint(), tick - reader.sint()) for key in self.logs.keys(robots)}
 
     def _learn(self, peer: Peer, table: dict[Key, tuple[int, int]], now_ns: int) -> None:
@@ -168,11 +186,11 @@ class Talk:
     def order(self, order: Operator, now_ns: int) -> bytes:
         """An order as it leaves at once; it is said again with the next ticks."""
         self._orders.append((SAID_AGAIN, order))
-        return self._write_order(order, now_ns)
+        return self.say_order(order, now_ns)
 
     def messages(self, now_ns: int, target: Waypoint | None = None) -> list[bytes]:
         """What is to be said at this tick, the most urgent first. `target` is where we are going."""
-        orders = [self._write_order(order, now_ns) for _, order in self._orders]
+        orders = [self.say_order(order, now_ns) for _, order in self._orders]
         self._orders = [(left - 1, order) for left, order in self._orders if left > 1]
         state = self._state(now_ns, target)
         self._left = min(self._left + self.bytes_s * TICK_S, self.bytes_s * BURST_S)
@@ -188,7 +206,8 @@ class Talk:
         """Members that are heard."""
         return [name for name, peer in self.peers.items() if (now_ns - peer.heard_ns) * 1e-9 <= HEARS_S]
 
-    def _write_order(self, order: Operator, now_ns: int) -> bytes:
+    def say_order(self, order: Operator, now_ns: int) -> bytes:
+        """An order as it leaves, once."""
         out = packing.Bytes()
         out.uint(now_ns // TICK_NS)
         out.uint(order.t_ns // STEP_NS)
@@ -206,6 +225,7 @@ class Talk:
         if target is not None:
             out.sint(round(target.east_m * packing.MM))
             out.sint(round(target.north_m * packing.MM))
+        out.uint(self.obeyed + 1)
         for key in logs.keys(logs.robots):
             out.uint(len(logs.entries[key]))
             out.sint(tick - logs.closed[key])
@@ -289,3 +309,13 @@ class Talk:
         for name in self.in_range(now_ns):
             peer = self.peers[name]
             peer.sent[part.key] = max(peer.sent.get(part.key, 0), end)
+
+
+def code_of(order: Operator) -> int:
+    """What an order is acknowledged by."""
+    return order.t_ns // STEP_NS % CODES
+
+
+def _read_order(reader: packing.Reader) -> Operator:
+    t_ns = reader.uint() * STEP_NS
+    return packing.read_order(reader, t_ns)

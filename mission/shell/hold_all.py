@@ -1,0 +1,51 @@
+"""HOLD ALL from a computer that has no robot: said until every agent has shown that it obeys, or for a while."""
+
+import asyncio
+
+from fieldkit.clock import Clock
+from fieldkit.engine.decentralised.card import Card
+from fieldkit.engine.decentralised.logs import Logs
+from fieldkit.engine.decentralised.packing import quantised
+from fieldkit.engine.decentralised.sealing import Seal, session_key
+from fieldkit.engine.decentralised.talk import OPERATOR, Talk, code_of
+from fieldkit.messages import Operator
+from fieldkit.ports import Network
+
+EVERY_S = 0.25
+"""An order is said so often."""
+
+
+async def hold_all(
+    robots: tuple[str, ...], network: Network, card: Card, key: bytes, clock: Clock, patience_s: float
+) -> dict[str, str]:
+    """Robot to "holds", "has not shown it" or "is not heard". Returns as soon as all hold.
+
+    An agent that obeys logs that as its own robot's, so that others, and robots out of reach, learn of it from it.
+    """
+    talk = Talk(Logs(robots[0], robots), Seal(session_key(key, card.common), OPERATOR))
+    order = quantised(Operator(clock.now_ns(), "hold", None, "HOLD ALL from the operator's computer"))
+    assert isinstance(order, Operator)
+    said = {}
+    async with network:
+        listening = asyncio.create_task(_listen(network, talk, clock), name="listen")
+        until_s = clock.elapsed_s() + patience_s
+        while clock.elapsed_s() < until_s:
+            network.publish(talk.say_order(order, clock.now_ns()), urgent=True)
+            await clock.sleep(EVERY_S)
+            said = {name: _word(talk, name, order) for name in robots}
+            if set(said.values()) == {"holds"}:
+                break
+        listening.cancel()
+        await asyncio.wait({listening})
+    return said
+
+
+def _word(talk: Talk, name: str, order: Operator) -> str:
+    if (peer := talk.peers.get(name)) is None:
+        return "is not heard"
+    return "holds" if peer.obeyed == code_of(order) else "has not shown it"
+
+
+async def _listen(network: Network, talk: Talk, clock: Clock) -> None:
+    async for data in network.messages():
+        talk.take(data, clock.now_ns())
