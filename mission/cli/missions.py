@@ -122,20 +122,31 @@ def print_flown(runner: "Runner", folder: Path, *, as_json: bool, report: bool =
 
 def _write_report(folder: Path) -> None:
     """The page on a mission just flown; where it cannot be written, how to try again."""
-    from fieldkit.errors import FieldkitError
-    from fieldkit.recording.reader import open_recording
-    from mission.analysis.report import write_report
-    from mission.page.embed import embedded
-
-    try:
-        recording = open_recording(folder / "mission.mcap")
-        write_report(recording, folder / "report.html", embedded(recording))
-    except (OSError, FieldkitError) as error:
+    if why := _no_report(folder):
         again = f"'fieldkit report {folder}/mission.mcap -o FILE' tries again"
-        say(f"no report was written: {error}; {again}", always=True)
+        say(f"no report was written: {why}; {again}", always=True)
     else:
         say(f"written: {folder}/{{mission.mcap, mission.toml, report.html}}")
         say(f"to look again: fieldkit dashboard {folder}/mission.mcap")
+
+
+def _no_report(folder: Path) -> str:
+    """Write the report beside the recording; why there is none."""
+    try:
+        # Whoever presses Ctrl-C twice may do so while these are loaded.
+        from fieldkit.errors import FieldkitError
+        from fieldkit.recording.reader import open_recording
+        from mission.analysis.report import write_report
+        from mission.page.embed import embedded
+
+        try:
+            recording = open_recording(folder / "mission.mcap")
+            write_report(recording, folder / "report.html", embedded(recording))
+        except (OSError, FieldkitError) as error:
+            return str(error)
+    except KeyboardInterrupt:
+        return "interrupted"
+    return ""
 
 
 def preflight(

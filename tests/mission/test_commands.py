@@ -4,10 +4,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
+from mission.cli.missions import print_flown
 from mission.lab.synthetic import record_simulated, small_mission
+from mission.shell.runner import Runner
 
 COMMANDS = [
     ["demo"],
@@ -122,3 +126,24 @@ def test_run_with_a_missing_port_names_it_and_moves_nothing(tmp_path: Path) -> N
     done = fieldkit("run", "mission.toml", cwd=tmp_path)
     assert done.returncode == 2
     assert "port1" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_whoever_is_impatient_at_the_end_still_reads_what_was_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second Ctrl-C comes while the report is written."""
+
+    def pressed(path: Path) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fieldkit.recording.reader.open_recording", pressed)
+    radio = SimpleNamespace(name="ada", radio_why="no line for 5 s")
+    runner = SimpleNamespace(
+        kernel=SimpleNamespace(sources=list, detections=0), recorder=SimpleNamespace(failure=""), unconfirmed=[],
+        safety=SimpleNamespace(robots={"ada": radio}), end_reason="interrupted (SIGINT)",
+    )  # fmt: skip
+    print_flown(cast(Runner, runner), tmp_path, as_json=False)
+    out, err = capsys.readouterr()
+    assert "ended: interrupted (SIGINT)" in out
+    assert "ada: its radio was down at the end: no line for 5 s" in err
+    assert "no report was written: interrupted; 'fieldkit report" in err
