@@ -58,7 +58,10 @@ REFUSED = (
     "dashboard run.mcap --page-port -1", "docs --port 99999", "camera calibrate nowhere points.csv",
     "camera look nowhere calibration.toml", "calibrate collect --receiver nobody -o new.csv", "nonsense",
     "check", "check a b", "check --nonsense mission.toml", "new mission.toml", "log", "log nonsense",
-    "calibrate fit", "--nonsense",
+    "calibrate fit", "--nonsense", "agent nowhere.toml --robot r1", "agent mission.toml",
+    "agent mission.toml --robot nobody", "agent mission.toml --robot r1", "agent mission.toml --hold",
+    "agent mission.toml --robot r1 --key readings.csv", "agent mission.toml --robot r1 --bytes-s x",
+    "agent mission.toml --new-key --key readings.csv",
 )  # fmt: skip
 
 

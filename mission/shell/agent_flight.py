@@ -2,6 +2,7 @@
 
 import asyncio
 import hashlib
+import math
 import secrets
 import socket
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fieldkit import settings as given
 from fieldkit.clock import Clock
 from fieldkit.engine.decentralised.card import Card
 from fieldkit.engine.decentralised.logs import Logs
@@ -82,7 +84,12 @@ def card_of(mission: Mission, robot: str, clock: Clock) -> Card:
 def make_agent(mission: Mission, card: Card, options: Options) -> Agent:
     """The agent, with what an interrupted flight had observed. Raises `ConfigError`."""
     least_m = least_contact_m(mission.safety)
-    if options.contact_m is not None and options.contact_m < least_m:
+    budget = given.AGENT_BYTES_S
+    if not budget.low <= options.bytes_s <= budget.high:
+        raise ConfigError(
+            f"--bytes-s: expected {budget.low:g} to {budget.high:g} B/s, got {options.bytes_s:g}"
+        )
+    if options.contact_m is not None and not least_m <= options.contact_m < math.inf:
         raise ConfigError(
             f"--contact-m: expected at least {least_m:.1f} m, in which two robots that come towards each other can "
             f"stop, got {options.contact_m:g}"

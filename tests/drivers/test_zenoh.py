@@ -79,9 +79,10 @@ async def test_messages_end_when_the_network_is_closed() -> None:
 
 
 async def test_an_address_that_is_none_is_said_in_words() -> None:
-    wrong = open_network("here", {"listen": ["tcp/256.0.0.1:1"], "scouting": False}, AROUND)
-    with pytest.raises(DeviceError, match="is an address wrong"):
-        await wrong.__aenter__()
+    for options in ({"listen": ["tcp/256.0.0.1:1"]}, {"listen": ["nonsense"]}, {"connect": ["nonsense"]}):
+        wrong = open_network("here", {**options, "scouting": False}, AROUND)
+        with pytest.raises(DeviceError, match="is an address wrong"):
+            await wrong.__aenter__()
 
 
 def test_an_unknown_option_is_named() -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import os
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -300,8 +301,12 @@ def test_what_cannot_be_is_said_before_anything_moves(tmp_path: Path) -> None:
         card_of(mission, "r9", RealClock())
     with pytest.raises(ConfigError, match="set it first"):
         card_of(mission, "r1", LoopClockOf1970())
-    with pytest.raises(ConfigError, match="--contact-m: expected at least"):
-        make_agent(mission, card(mission), Options("r1", KEY, 0.5, 1400.0))
+    for contact_m in (0.5, math.nan, math.inf):
+        with pytest.raises(ConfigError, match="--contact-m: expected at least"):
+            make_agent(mission, card(mission), Options("r1", KEY, contact_m, 1400.0))
+    for bytes_s in (0.0, math.nan):
+        with pytest.raises(ConfigError, match="--bytes-s: expected"):
+            make_agent(mission, card(mission), Options("r1", KEY, None, bytes_s))
 
 
 class LoopClockOf1970(RealClock):
