@@ -120,3 +120,17 @@ def test_a_mission_without_people_has_no_such_panel(browser: Any, flown: Flown) 
     with looking(browser, flown.page.command_address) as tab:
         tab.wait_for_selector("#robots .card")
         assert tab.locator("#walk").is_hidden()
+
+
+def test_why_the_radio_is_down_is_read_where_one_walks(browser: Any, walking: Flown) -> None:
+    why = f"its lines are no readings: '{'a' * 60}' does not match the pattern"
+    with looking(browser, walking.page.address, viewport={"width": 390, "height": 844}) as tab:
+        tab.wait_for_selector("#walk:not([hidden])")
+        walking.receivers["r1"].set_up(False, why)
+        tab.wait_for_function(
+            "() => document.getElementById('walk-why').textContent.startsWith('radio down: its lines')"
+        )
+        assert tab.inner_text("#walk-now") == "radio down"
+        assert tab.evaluate(
+            "() => { const why = document.getElementById('walk-why'); return why.scrollWidth <= why.clientWidth; }"
+        )

@@ -98,6 +98,7 @@ function fillCard(part, robot) {
   const standing = robot.ordered === "release" ? "released" : robot.ordered === "withdraw" ? "withdrawn" : "";
   set(part.mode, lost ? "link lost" : standing || robot.mode, `mode ${lost ? "lost" : robot.mode}`);
   set(part.doing, robot.radio_up ? robot.doing : radioDown(robot));
+  part.doing.title = robot.radio_up ? "" : radioDown(robot); // the card has room for its beginning
   part.doing.classList.toggle("bad", !robot.radio_up);
   set(part.call, robot.call);
   part.call.hidden = !robot.call;
