@@ -348,8 +348,9 @@ def check(
         return
     engine = mission.kernel.engine
     teams = "1 team" if len(engine.teams) == 1 else f"{len(engine.teams)} teams"
+    robots = "1 robot" if len(engine.robots) == 1 else f"{len(engine.robots)} robots"
     typer.echo(
-        f"{mission_file}: good. {len(engine.robots)} robots in {teams}, {engine.grid.n_east} x "
+        f"{mission_file}: good. {robots} in {teams}, {engine.grid.n_east} x "
         f"{engine.grid.n_north} cells, belief {mission.kernel.belief}, planner {mission.kernel.planner}"
     )
     for line in advice:
