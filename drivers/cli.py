@@ -1,5 +1,6 @@
 """`fieldkit emulate | devices | vehicles | channels`. Heavy imports stay inside the commands."""
 
+import sys
 from functools import partial
 from pathlib import Path
 from textwrap import fill
@@ -20,6 +21,8 @@ Write a map of your own into a file radio.toml, as docs/lines.md shows, for
   unit = "-dBm\""""
 
 
+SHOWN_LINES = 20
+"""Of a radio that is watched; a fast one prints hundreds."""
 SIGMA_DB = 4.0
 """Of emulated radios, where no antenna file says it."""
 
@@ -295,14 +298,24 @@ def _watch(port: str, baud: int, seconds: float, as_json: bool) -> None:
     from drivers.lines.propose import propose
     from drivers.lines.receiver import watch
 
-    lines = watch(port, baud, seconds)
+    shown = 0
+
+    def show(line: str) -> None:
+        nonlocal shown
+        shown += 1
+        if shown <= SHOWN_LINES and not as_json:
+            typer.echo(f"  {_harmless(line)[:76]}")
+
+    if not as_json and sys.stderr.isatty():
+        typer.echo(f"listening for {seconds:g} s; Ctrl-C ends it earlier", err=True)
+    lines = watch(port, baud, seconds, show)
     found = propose(lines)
     if as_json:
         proposal = None if found is None else {"toml": found.toml(), "read": found.read, "of": found.of}
         typer.echo(json.dumps({"lines": lines, "proposal": proposal}))
         return
-    for line in lines[-20:]:
-        typer.echo(f"  {_harmless(line)[:76]}")
+    if shown > SHOWN_LINES:
+        typer.echo(f"  and {shown - SHOWN_LINES} more")
     if not lines:
         is_serial = "://" not in port and port != "-"
         hint = f"is the radio on, is its baud rate {baud}?" if is_serial else "does anything send there?"

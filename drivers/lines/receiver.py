@@ -6,7 +6,7 @@ make no sense under its map counts as down too, and says which line and what is 
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -246,16 +246,21 @@ class LinesReceiver(ThreadedReceiver):
         return self._stamps.of(round(by_radio_s * 1e9) if stamped and by_radio_s is not None else None, t_ns)
 
 
-def watch(port: str, baud: int, seconds: float) -> list[str]:
-    """The lines that come in within `seconds` of wall time. Raises `DeviceError`."""
+def watch(port: str, baud: int, seconds: float, show: Callable[[str], None] = lambda line: None) -> list[str]:
+    """The lines that come in within `seconds` of wall time, or until Ctrl-C; each is shown as it comes.
+
+    Raises `DeviceError`.
+    """
     link, split = open_source(port, baud, "watch", from_start=True), LineSplitter()
     lines: list[str] = []
     try:
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s and len(lines) < 1_000:
-            lines += split.feed(link.read())
-    except OSError:
-        pass  # it has ended: what came is what there is
+            for line in split.feed(link.read()):
+                lines.append(line)
+                show(line)
+    except (OSError, KeyboardInterrupt):
+        pass  # it has ended, or enough was seen: what came is what there is
     finally:
         link.close()
     return lines

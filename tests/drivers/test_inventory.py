@@ -79,6 +79,7 @@ def test_what_a_radio_prints_is_shown_without_moving_the_terminal_and_with_what_
     for text, says in (
         ("\x1b[2J\x1b]0;x\x07 RSSI: -70 \u05e9\n" * 2, '  rss = "rss"'),
         ("+RCV=50,5,HELLO,-99,40\n", f"--receiver {path},rylr"),
+        ("+RCV=50,5,HELLO,-99,40\n" * 30, "  and 10 more"),
         ("S=79\n", "write a map of your own"),
         ("", "its baud rate 115200?"),
     ):
