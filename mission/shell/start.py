@@ -1,7 +1,7 @@
 """The start of a mission: every vehicle heard, judged fit, and made ours. Nothing moves before that."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 
 from fieldkit.clock import Clock
@@ -39,11 +39,7 @@ class Start:
         deadline_s = self.clock.elapsed_s() + READY_TIMEOUT_S
         while missing := _missing(robots, resumed_ns):
             if self.clock.elapsed_s() > deadline_s:
-                text = (
-                    f"no telemetry from {', '.join(missing)} in {READY_TIMEOUT_S:.0f} s: is the vehicle on, does it "
-                    "send to the address in the mission file, are its system id and signing key right, has it a "
-                    "position fix?"
-                )
+                text = _not_heard(missing, self.mission.safety.on_foot)
                 if not resumed_ns or len(missing) == len(robots):
                     raise DeviceTimeout(text)
                 self.note("warning", f"{text} The mission goes on without")
@@ -115,6 +111,21 @@ class Start:
             elif outcome is not None:
                 raise outcome
         return waits
+
+
+def _not_heard(missing: list[str], on_foot: Container[str]) -> str:
+    """Who is missing, and what to look at: of a vehicle something else than of a person."""
+    waited, said = f"in {READY_TIMEOUT_S:.0f} s", []
+    if vehicles := [name for name in missing if name not in on_foot]:
+        said.append(
+            f"no telemetry from {', '.join(vehicles)} {waited}: is the vehicle on, does it send to the address in the "
+            "mission file, are its system id and signing key right, has it a position fix?"
+        )
+    if people := [name for name in missing if name in on_foot]:
+        said.append(
+            f"no position of {', '.join(people)} {waited}: is the satellite receiver on, and where the sky is free?"
+        )
+    return " ".join(said)
 
 
 def _missing(robots: Mapping[str, Robot], resumed_ns: int) -> list[str]:

@@ -47,6 +47,7 @@ from mission.safety.rules import Safety
 from mission.shell.intake import streams_of
 from mission.shell.runner import Runner
 from mission.shell.setups import live
+from mission.shell.start import _not_heard
 
 S = 10**9
 DEVICES = ["walk", "--receiver", "x,rylr", "--gnss", "/dev/none", "--antenna", "antenna.toml"]
@@ -372,3 +373,11 @@ def test_a_walk_says_which_of_its_devices_is_not_as_it_should_be(
     assert old in text
     with pytest.raises(ConfigError, match=re.escape(says)):
         live(mission_of(text.replace(old, new), tmp_path / "mission.toml"))
+
+
+def test_of_a_person_who_is_not_there_no_vehicle_is_asked_for() -> None:
+    assert _not_heard(["ada"], {"ada"}) == (
+        "no position of ada in 60 s: is the satellite receiver on, and where the sky is free?"
+    )
+    both = _not_heard(["r1", "ada"], {"ada"})
+    assert both.startswith("no telemetry from r1 in 60 s") and "no position of ada" in both

@@ -134,8 +134,13 @@ function alarms({ alarms: said }) {
 
 /** @param {LiveHello} hello of a mission that has not started */
 export function waiting(hello) {
-  const names = hello.robots.map((robot) => robot.name).join(", ");
-  const text = `The mission starts when the radio and the vehicle of each robot are there: ${names}.`;
+  /** @param {boolean} on_foot */
+  const names = (on_foot) => hello.robots.filter((robot) => robot.on_foot === on_foot).map((robot) => robot.name).join(", ");
+  const awaited = [
+    names(false) && `the radio and the vehicle of each robot are there: ${names(false)}`,
+    names(true) && `the radio and a position of whoever walks are there: ${names(true)}`,
+  ].filter(Boolean).join("; and when ");
+  const text = `The mission starts when ${awaited}.`;
   find($("robots"), ".cards").replaceChildren(element("p", { className: "empty", textContent: text }));
   made.robots.clear();
 }
