@@ -126,9 +126,9 @@ def walk(
         mission = _round_here(options, Path(antenna or "").parent)
     read_background(mission)  # before the walk: a map of elsewhere is of no use in the field
     setup = setups.live(mission)
-    folder = begun_folder(out, mission)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     warm_up(mission)
+    folder = begun_folder(out, mission)
     say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
     with shown_page(mission, page, page_host, page_port) as shown:
         with informed_maps(mission) as others, Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
