@@ -55,7 +55,7 @@ class Flown:
     nearest_m: float
     """The least distance between two robots."""
     ordered_too_near: int
-    """Orders on a path that really led nearer than half the separation past a robot that stood."""
+    """Orders on a path that really led nearer than half the separation past a robot that stood within range."""
     dropped: dict[str, int] = field(default_factory=dict)
 
 
@@ -215,7 +215,11 @@ class Flock:
         for order in self._ordered:
             rover, to = rovers[order.robot], order.waypoint
             path = Segment((rover.east_m, rover.north_m), (to.east_m, to.north_m), max(to.speed_m_s, 0.01))
-            others = [standing(place) for name, place in standing_m.items() if name != order.robot]
+            others = [
+                standing(place)
+                for name, place in standing_m.items()
+                if name != order.robot and math.dist(place, path.start_m) <= self.air.range_m
+            ]
             self.ordered_too_near += any(ever_m(path, other) < self.limits.near_m for other in others)
         self._ordered.clear()
 
