@@ -7,27 +7,29 @@ from typing import Any
 from fieldkit.errors import ConfigError
 
 
-def receiver_of(words: str, option: str = "--receiver") -> dict[str, Any]:
+def receiver_of(words: str) -> dict[str, Any]:
     """A receiver's table from `xbee:PORT`, `PORT[,MAP]` of a radio that prints, or a file. Raises `ConfigError`."""
     if words == "xbee:" or words.startswith(","):
-        raise ConfigError(f"{option} {words}: expected a port, as in xbee:/dev/ttyUSB0 or /dev/ttyUSB0,rylr")
+        raise ConfigError(
+            f"--receiver {words}: expected a port, as in xbee:/dev/ttyUSB0 or /dev/ttyUSB0,rylr"
+        )
     if words.startswith("xbee:"):
         return {"driver": "xbee", "port": words.removeprefix("xbee:")}
     if words.endswith(".toml"):
-        return read_receiver(Path(words), option)
+        return read_receiver(Path(words))
     port, _, line_map = words.partition(",")
     return {"driver": "lines", "port": port, "map": line_map or "json"}
 
 
-def read_receiver(path: Path, option: str = "--receiver") -> dict[str, Any]:
-    """Its table; the driver is `lines` where it says none. Raises `ConfigError`, naming the `option` that asked."""
+def read_receiver(path: Path) -> dict[str, Any]:
+    """Its table; the driver is `lines` where it says none. Raises `ConfigError`."""
     try:
         said = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{option} {path}: cannot be read: {error}") from error
+        raise ConfigError(f"--receiver {path}: cannot be read: {error}") from error
     if "port" not in said:
-        raise ConfigError(f"{option} {path}: expected at least 'port' and a map, see docs/lines.md")
+        raise ConfigError(f"--receiver {path}: expected at least 'port' and a map, see docs/lines.md")
     table = {"driver": "lines", **said}
     if not isinstance(table["driver"], str):
-        raise ConfigError(f"{option} {path}: driver: expected a text, got {table['driver']!r}")
+        raise ConfigError(f"--receiver {path}: driver: expected a text, got {table['driver']!r}")
     return table

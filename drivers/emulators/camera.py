@@ -6,6 +6,7 @@
 
 import asyncio
 import contextlib
+import errno
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -278,7 +279,14 @@ class PictureServer:
 
     async def plug(self) -> None:
         """Come up, under the same address as before."""
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self._port)
+        for _ in range(50):
+            # A process that is being started holds what was open for a moment after it was closed here.
+            with contextlib.suppress(OSError):
+                self._server = await asyncio.start_server(self._serve, "127.0.0.1", self._port)
+                break
+            await asyncio.sleep(0.1)
+        else:
+            raise OSError(errno.EADDRINUSE, f"port {self._port} is in use")
         self._port = self._server.sockets[0].getsockname()[1]
         self.url = f"http://127.0.0.1:{self._port}/video.mjpg"
 
