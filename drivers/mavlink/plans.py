@@ -119,6 +119,10 @@ class PlanTalk:
         )
 
     async def _send_all(self, items: Sequence[PlanItem]) -> None:
+        """Answer what the vehicle asks for until it has all. Raises `VehicleRefused`, `DeviceTimeout`.
+
+        A vehicle that cancels has heard nothing of us for 8 s (ArduPilot): the link failed, it refuses nothing.
+        """
         count = mavlink.MAVLink_mission_count_message(self.system_id, AUTOPILOT, len(items), self.kind)
         began_s, last, quiet = self.clock.elapsed_s(), -1, 0
         self.send(count)
@@ -133,8 +137,11 @@ class PlanTalk:
                 if 0 <= message.seq < len(items):
                     last = max(last, message.seq)
                     self.send(self._item(message.seq, items[message.seq]))
-            elif message.get_type() == "MISSION_ACK" and self._is_final(message.type, last, len(items)):
-                return
+            elif message.get_type() == "MISSION_ACK":
+                if message.type == mavlink.MAV_MISSION_OPERATION_CANCELLED:
+                    break
+                if self._is_final(message.type, last, len(items)):
+                    return
         raise DeviceTimeout(
             f"{self.robot}: uploading the {NAMES[self.kind]} broke off after item {last} of {len(items)}; "
             "what it holds now may be a mixture: upload again"

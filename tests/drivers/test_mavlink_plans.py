@@ -100,8 +100,25 @@ async def test_an_upload_that_breaks_off_is_reported():
         await link.upload("ada", MISSION, items(6))
         got = iter([False, False, False])
         rover.drop_in = lambda data: is_item(data) and next(got, True)
-        with pytest.raises((DeviceTimeout, VehicleRefused), match=r"mixture|CANCELLED"):
+        with pytest.raises(DeviceTimeout, match="mixture"):
             await link.upload("ada", MISSION, items(9, lat=480000000))
+
+
+async def test_an_upload_that_the_vehicle_gave_up_is_sent_again():
+    """It cancels after 8 s without an item: a link that was gone for that long, not a refusal."""
+    async with link_and_rover() as (link, rover):
+        cancelled, real = [], rover.autopilot.plans.update
+
+        def update(t_s):
+            answers = real(t_s)
+            cancelled.extend(a for a in answers if a.get_type() == "MISSION_ACK")
+            return answers
+
+        rover.autopilot.plans.update = update
+        rover.drop_in = lambda data: is_item(data) and not cancelled
+        await link.upload("ada", MISSION, items(6))
+        assert [a.type for a in cancelled] == [mavlink.MAV_MISSION_OPERATION_CANCELLED]
+        assert len(rover.autopilot.plans.items[MISSION]) == 6
 
 
 async def test_parameters_are_read_and_unknown_ones_are_none():
