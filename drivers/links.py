@@ -238,6 +238,15 @@ def host_and_port(text: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
+def device_and_baud(text: str) -> tuple[str, int | None]:
+    """A serial device and the rate behind its name, as in /dev/ttyUSB0:4800; None where it names none."""
+    device, separator, baud = text.rpartition(":")
+    named = separator and baud.isdigit() and "://" not in text and not device.endswith(("/", ":"))
+    if not named or Path(text).exists():  # names under /dev/serial/by-path have colons of their own
+        return text, None
+    return device, int(baud)
+
+
 def _why(url: str, error: Exception) -> str:
     """What kept a link from opening, and what to try."""
     words = str(error).lower()

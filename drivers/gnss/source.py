@@ -17,7 +17,7 @@ from drivers.gnss.fixes import Fix, FixJudge
 from drivers.gnss.gpsd import GPSD_PORT, WATCH, GpsdReader
 from drivers.gnss.nmea import NmeaReader
 from drivers.lines.sources import open_source
-from drivers.links import ByteLink, arrival_ns
+from drivers.links import ByteLink, arrival_ns, device_and_baud
 from drivers.options import checked
 from drivers.timebase import DeviceStamps
 from fieldkit.errors import ConfigError, DeviceError
@@ -39,7 +39,7 @@ class GnssOptions:
     """What a mission file says of its satellite receivers."""
 
     robots: dict[str, Any] = field(default_factory=dict)
-    """Robot to its receiver: gpsd://HOST[:PORT], or where NMEA comes from: a serial device, socket://, tcp://, udp://."""
+    """Robot to its receiver: gpsd://HOST[:PORT], or where NMEA comes from: DEVICE[:BAUD], socket://, tcp://, udp://."""
     baud: int = 9600
     max_speed_m_s: float = 15.0
     """No robot and no person is faster: a fix further away has jumped."""
@@ -227,6 +227,7 @@ def _remedy(port: str, baud: int) -> str:
         return "has gpsd a receiver that is plugged in?"
     if scheme in ("udp", "tcp"):
         return "does it send to an address of this computer, and to this port?"
-    return (
-        "does it send NMEA?" if separator else f"does it send NMEA at {baud} baud? `baud` sets another rate"
-    )
+    if separator:
+        return "does it send NMEA?"
+    device, own_baud = device_and_baud(port)
+    return f"does it send NMEA at {own_baud or baud} baud? {device}:4800 would name another rate"

@@ -14,7 +14,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from drivers.links import READ_TIMEOUT_S, ByteLink, TappedLink, absent, host_and_port, open_link
+from drivers.links import (
+    READ_TIMEOUT_S,
+    ByteLink,
+    TappedLink,
+    absent,
+    device_and_baud,
+    host_and_port,
+    open_link,
+)
 from fieldkit.errors import DeviceError
 
 POLL_S = 0.05
@@ -26,7 +34,8 @@ ALONE_S = 5.0
 """Wall time without anybody at the far end after which that is said: a program may open and close for each line."""
 
 PORTS = (
-    "a serial device, socket://HOST:PORT, tcp://HOST:PORT (waits for connections), udp://HOST:PORT, "
+    "a serial device (/dev/ttyUSB0, or with its rate /dev/ttyUSB0:4800), socket://HOST:PORT, "
+    "tcp://HOST:PORT (waits for connections), udp://HOST:PORT, "
     "- (standard input), a file or pipe, mqtt://HOST/TOPIC, kismet://HOST:PORT, kismetdb:FILE"
 )
 
@@ -64,10 +73,11 @@ def _open(port: str, baud: int, device: str, from_start: bool) -> ByteLink:
         from drivers.lines.kismet import KismetDbLink
 
         return KismetDbLink(Path(port.removeprefix("kismetdb:")), from_start)
-    path = Path(port.removeprefix("file:"))
+    serial, own_baud = device_and_baud(port)
+    path = Path(serial.removeprefix("file:"))
     if "://" not in port and path.exists() and not stat.S_ISCHR(path.stat().st_mode):
         return PipeLink(path) if stat.S_ISFIFO(path.stat().st_mode) else FileLink(path, from_start)
-    return JoinedLink(open_link(port, baud, device))
+    return JoinedLink(open_link(serial, own_baud or baud, device))
 
 
 class JoinedLink:

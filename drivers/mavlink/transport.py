@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from drivers.links import ByteLink, host_and_port, open_link
+from drivers.links import ByteLink, device_and_baud, host_and_port, open_link
 from fieldkit.errors import ConfigError, DeviceError
 
 logger = logging.getLogger(__name__)
@@ -56,9 +56,9 @@ def make_transport(address: str) -> Transport:
     except ValueError as error:
         raise ConfigError(f"vehicle address {address!r}: {error}") from None
     device = rest if kind == "serial" else address
-    path, separator, baud = device.rpartition(":")
-    if separator and baud.isdigit() and not path.endswith(("/", ":")):
-        return Serial(path, int(baud))
+    path, baud = device_and_baud(device)
+    if baud is not None:
+        return Serial(path, baud)
     if kind == "serial" or device.startswith(("/dev/", "COM")):
         return Serial(device, 57600)
     raise ConfigError(

@@ -55,7 +55,7 @@ def walk(
         ),
     ] = "",
     gnss: Annotated[
-        str, typer.Option(help="The satellite receiver: gpsd://HOST, a serial port, udp://HOST:PORT.")
+        str, typer.Option(help="The satellite receiver: gpsd://HOST, DEVICE[:BAUD], udp://HOST:PORT.")
     ] = "",
     antenna: Annotated[Path | None, typer.Option(help="The antenna file of 'fieldkit calibrate'.")] = None,
     name: Annotated[

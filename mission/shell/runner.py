@@ -43,7 +43,7 @@ from mission.shell.intake import end_tasks, streams_of
 from mission.shell.landing import Landing
 from mission.shell.recorder import Follower, Look, MissionRecorder
 from mission.shell.setups import Setup
-from mission.shell.signals import StopSignals
+from mission.shell.signals import WHY, StopSignals
 from mission.shell.start import Start
 from mission.shell.ticks import Ticks
 from mission.shell.vehicle_fences import VehicleFences
@@ -232,7 +232,7 @@ class Runner:
     # -- signals ---------------------------------------------------------------------------------------------
 
     def _signalled(self, name: str) -> None:
-        self.put(Operator(self.setup.clock.now_ns(), "end", None, f"interrupted ({name})"))
+        self.put(Operator(self.setup.clock.now_ns(), "end", None, WHY[name]))
 
     def _signalled_again(self) -> None:
         people = self.mission.safety.on_foot  # they stop by themselves: nobody waits for them

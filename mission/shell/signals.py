@@ -21,6 +21,15 @@ SUSPENDS = tuple(getattr(signal, name) for name in ("SIGTSTP",) if hasattr(signa
 BACKGROUND = tuple(getattr(signal, name) for name in ("SIGTTIN", "SIGTTOU") if hasattr(signal, name))
 
 
+WHY = {
+    "SIGINT": "stopped by Ctrl-C",
+    "SIGTERM": "stopped by another program (SIGTERM)",
+    "SIGHUP": "the terminal was closed (SIGHUP)",
+    "SIGBREAK": "stopped by Ctrl-Break",
+}
+"""A signal's name to the reason that stands on every surface."""
+
+
 class StopSignals:
     """What each signal in turn leads to: `first` ends the mission, `again` speaks, `last` stops waiting.
 

@@ -323,7 +323,8 @@ async def test_no_receiver_is_an_error_that_says_what_to_try(unused_tcp_port: in
         ("udp://0.0.0.0:10110", "an address of this computer"),
         ("gpsd://pi", "has gpsd a receiver"),
         ("socket://pi:5000", "send NMEA?"),
-        ("/dev/ttyACM0", "at 9600 baud"),
+        ("/dev/ttyACM0", "at 9600 baud? /dev/ttyACM0:4800"),
+        ("/dev/ttyUSB0:38400", "at 38400 baud? /dev/ttyUSB0:4800"),
     ],
 )
 def test_what_to_look_at_where_nothing_comes_depends_on_whence_it_should(port: str, says: str) -> None:

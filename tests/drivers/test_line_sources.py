@@ -20,7 +20,8 @@ from drivers.emulators.wires import PluggedModule, PtyWire
 from drivers.lines.mapping import LineMap
 from drivers.lines.maps import MAPS
 from drivers.lines.receiver import SENSELESS, LineSplitter
-from drivers.lines.sources import JoinedLink
+from drivers.lines.sources import JoinedLink, open_source
+from drivers.links import device_and_baud
 from fieldkit.clock import RealClock
 from fieldkit.errors import DeviceError
 
@@ -106,6 +107,34 @@ def test_a_device_in_the_middle_of_a_line_loses_that_line_alone(
     device = Mock(arrived_s=0.0, read=lambda: next(given, b""))
     link = JoinedLink(device)
     assert [line for _ in pieces for line in split.feed(link.read())] == lines
+
+
+@pytest.mark.parametrize(
+    ("text", "device", "baud"),
+    [
+        ("/dev/ttyUSB0", "/dev/ttyUSB0", None),
+        ("/dev/ttyUSB0:4800", "/dev/ttyUSB0", 4800),
+        ("COM3:38400", "COM3", 38400),
+        ("COM3", "COM3", None),
+        ("socket://10.0.0.2:4800", "socket://10.0.0.2:4800", None),
+        ("/dev/serial/by-path/usb-0:1:1.0", "/dev/serial/by-path/usb-0:1:1.0", None),
+    ],
+)
+def test_a_serial_device_may_carry_its_rate(text: str, device: str, baud: int | None) -> None:
+    assert device_and_baud(text) == (device, baud)
+
+
+def test_a_name_with_a_colon_that_is_there_is_a_name(tmp_path: Path) -> None:
+    there = tmp_path / "usb-0:1"
+    there.touch()
+    assert device_and_baud(str(there)) == (str(there), None)
+
+
+def test_the_rate_behind_a_device_counts_more_than_the_option(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = Mock(return_value=Mock(read=lambda: b"", arrived_s=0.0))
+    monkeypatch.setattr("drivers.lines.sources.open_link", asked)
+    open_source("/dev/ttyNOT:4800", 9600, "radio", from_start=False)
+    assert asked.call_args.args[:2] == ("/dev/ttyNOT", 4800)
 
 
 async def test_a_named_pipe_outlives_its_writers(tmp_path: Path) -> None:

@@ -211,7 +211,7 @@ def test_ctrl_c_ends_one_agent_and_the_other_goes_on_without_it(tmp_path: Path) 
         r1, r2 = team["r1"], team["r2"]
         await r1.clock.sleep(12.0)
         assert r1.runner is not None and r2.runner is not None
-        r1.runner.put(Operator(r1.clock.now_ns(), "end", None, "interrupted (SIGINT)"))
+        r1.runner.put(Operator(r1.clock.now_ns(), "end", None, "stopped by Ctrl-C"))
         await r1.clock.sleep(30.0)
         assert r1.runner.end_reason and not r2.runner.end_reason
         assert r2.runner.kernel.robots["r1"].held

@@ -140,10 +140,10 @@ def test_whoever_is_impatient_at_the_end_still_reads_what_was_found(
     radio = SimpleNamespace(name="ada", radio_why="no line for 5 s")
     runner = SimpleNamespace(
         kernel=SimpleNamespace(sources=list, detections=0), recorder=SimpleNamespace(failure=""), unconfirmed=[],
-        safety=SimpleNamespace(robots={"ada": radio}), end_reason="interrupted (SIGINT)",
+        safety=SimpleNamespace(robots={"ada": radio}), end_reason="stopped by Ctrl-C",
     )  # fmt: skip
     print_flown(cast(Runner, runner), tmp_path, as_json=False)
     out, err = capsys.readouterr()
-    assert "ended: interrupted (SIGINT)" in out
+    assert "ended: stopped by Ctrl-C" in out
     assert "ada: its radio was down at the end: no line for 5 s" in err
     assert "no report was written: interrupted; 'fieldkit report" in err

@@ -74,7 +74,7 @@ def test_ctrl_c_holds_the_vehicles_and_closes_the_recording(tmp_path: Path) -> N
         output, errors = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert json.loads(output)["end_reason"] == "interrupted (SIGINT)", errors
+    assert json.loads(output)["end_reason"] == "stopped by Ctrl-C", errors
     (log,) = tmp_path.glob("*/mission.mcap")
     recording = open_recording(log)
     assert recording.complete

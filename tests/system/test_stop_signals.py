@@ -86,12 +86,14 @@ class Flight:
         self.process.send_signal(signal.SIGHUP)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_holds_everybody_and_closes_the_recording(tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize(
+    ("number", "why"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "another program (SIGTERM)")]
+)
+def test_a_signal_holds_everybody_and_closes_the_recording(tmp_path: Path, number: int, why: str) -> None:
     flight = Flight(tmp_path, confirms=True)
     flight.process.send_signal(number)
     assert flight.process.wait(60.0) == 0
-    assert f"interrupted ({signal.Signals(number).name}) unconfirmed\n" in flight.said()
+    assert f"ended stopped by {why} unconfirmed\n" in flight.said()
     assert {line for line in flight.said().splitlines() if line.startswith("hold")} >= {"hold r1", "hold r2"}
     assert open_recording(tmp_path / "mission.mcap").complete
 
@@ -100,7 +102,7 @@ def test_a_closed_terminal_holds_everybody_and_closes_the_recording(tmp_path: Pa
     flight = Flight(tmp_path, confirms=True)
     flight.hang_up()
     flight.process.wait(60.0)
-    assert "interrupted (SIGHUP) unconfirmed" in flight.said()
+    assert "the terminal was closed (SIGHUP) unconfirmed" in flight.said()
     assert open_recording(tmp_path / "mission.mcap").complete
 
 
@@ -127,4 +129,4 @@ def test_ctrl_z_holds_everybody_and_suspends_nothing(tmp_path: Path) -> None:
     assert "ended" not in flight.said()
     flight.process.send_signal(signal.SIGINT)
     assert flight.process.wait(60.0) == 0
-    assert "ended interrupted (SIGINT) unconfirmed\n" in flight.said()
+    assert "ended stopped by Ctrl-C unconfirmed\n" in flight.said()
