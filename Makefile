@@ -5,10 +5,11 @@ BIN    := $(VENV)/bin
 SEED   ?= 7
 BENCH  ?= all
 TSC    := tests/browser/node_modules/.bin/tsc
-# Per cent of lines and branches that the tests must reach: of all, and of what decides in a mission (89 and 98 when last
-# measured whole; a little is left for machines without a browser).
-FLOOR      ?= 86
-CORE_FLOOR ?= 96
+# Per cent of lines and branches that the tests must reach: all of all, the tests of parts alone of all, and these of what
+# decides in a mission. A little is left for machines without a browser.
+FLOOR       ?= 86
+PARTS_FLOOR ?= 60
+CORE_FLOOR  ?= 96
 
 .PHONY: demo test coverage bench lint kernels licences protocol page-types docs screenshots wheel env clean
 
@@ -41,19 +42,22 @@ licences: $(VENV)/.installed-dev
 
 # What every process of the tests would compile for itself where they all begin at once.
 kernels: $(VENV)/.installed-dev
+	$(BIN)/python -m compileall -q fieldkit calibration drivers mission
 	$(BIN)/python -m mission.lab.kernels
 
-# Three at a time on two cores: many tests wait for a wire or a clock.
+# Three at a time on two cores: many tests wait for a wire or a clock. Whole missions take half as long again when traced:
+# what they reach counts in 'make coverage' alone.
 test: $(VENV)/.installed-dev
 	$(MAKE) --jobs 2 lint kernels
-	$(BIN)/pytest -n 3 --dist loadfile --cov=mission.core --cov=mission.safety --cov-report=
-	@echo "reached by their own tests, of the lines and branches of what decides in a mission, in per cent:"
+	$(BIN)/pytest -n 3 --dist loadfile --cov --cov-report=
+	@echo "reached by the tests of parts, of the lines and branches of what decides in a mission, in per cent:"
 	$(BIN)/coverage report --include='mission/core/*,mission/safety/*' --fail-under=$(CORE_FLOOR)
+	@echo "and of everything:"
+	$(BIN)/coverage report --format=total --fail-under=$(PARTS_FLOOR)
 
-# The same of everything, by all tests. Tests that step the kernel take half as long again when traced, so it is no part of 'make test'.
 coverage: $(VENV)/.installed-dev
 	FIELDKIT_COVERAGE=all $(BIN)/pytest -n 3 --dist loadfile --cov --cov-report=
-	@echo "reached by the tests, of all lines and branches, in per cent:"
+	@echo "reached by all tests, of all lines and branches, in per cent:"
 	$(BIN)/coverage report --format=total --fail-under=$(FLOOR)
 
 # The types of the page's JavaScript, from the models in Python.

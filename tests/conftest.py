@@ -35,7 +35,9 @@ FLIGHTS = tuple(
         "reality_study", "refit", "replay", "report", "resume", "study_command", "systems", "walk", "what_if",
     )
 )  # fmt: skip
-"""Tests in tests/mission that fly whole missions. What of core and safety they reach, others reach too."""
+"""Tests that fly whole missions. What of core and safety they reach, others reach too."""
+WHOLE = ("browser", "system", "consumer", "contract")
+"""Folders of tests that run the commands, mostly in processes of their own."""
 ENDING_S = 5.0
 """How long threads may take that were told to end: they poll a port or a socket."""
 
@@ -77,11 +79,11 @@ def nothing_is_left_running() -> Iterator[None]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Count coverage only in the tests of the rooms it is stated for: traced, others take half as long again."""
+    """Count coverage in the tests of parts alone: traced, whole missions take half as long again."""
     if os.environ.get("FIELDKIT_COVERAGE") == "all":
         return
     for item in items:
-        if item.path.parent.name != "mission" or item.path.stem in FLIGHTS:
+        if item.path.parent.name in WHOLE or item.path.stem in FLIGHTS:
             item.add_marker(pytest.mark.no_cover)
 
 
