@@ -47,6 +47,12 @@ class CalibrationRefused(FieldkitError, ValueError):
     """The data cannot carry the calibration asked of it; says why and what to collect."""
 
 
+def os_words(error: Exception) -> str:
+    """Why the operating system refused something, without its number and the path that stands beside it."""
+    why = error.strerror if isinstance(error, OSError) else None
+    return why.lower() if why else str(error)
+
+
 class NotWritten(FieldkitError, OSError):
     """A file cannot be written: names it, why, and what to do."""
 
@@ -62,9 +68,8 @@ class NotWritten(FieldkitError, OSError):
     }
 
     def __init__(self, path: object, error: OSError) -> None:
-        why = error.strerror or str(error)
         remedy = self.REMEDIES.get(error.errno or 0, "write to another folder")
-        super().__init__(f"{path}: cannot be written ({why.lower()}); {remedy}")
+        super().__init__(f"{path}: cannot be written ({os_words(error)}); {remedy}")
 
 
 class DeviceError(FieldkitError, OSError):

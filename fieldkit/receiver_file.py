@@ -4,7 +4,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from fieldkit.errors import ConfigError
+from fieldkit.errors import ConfigError, os_words
 
 
 def receiver_of(words: str) -> dict[str, Any]:
@@ -26,7 +26,7 @@ def read_receiver(path: Path) -> dict[str, Any]:
     try:
         said = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"--receiver {path}: cannot be read: {error}") from error
+        raise ConfigError(f"--receiver {path}: cannot be read: {os_words(error)}") from error
     if "port" not in said:
         raise ConfigError(f"--receiver {path}: expected at least 'port' and a map, see docs/lines.md")
     table = {"driver": "lines", **said}

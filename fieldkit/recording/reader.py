@@ -11,7 +11,7 @@ from typing import Any
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
 
-from fieldkit.errors import RecordingError
+from fieldkit.errors import RecordingError, os_words
 from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate, Tick
 from fieldkit.recording import codec
 from fieldkit.recording.records import NO_INDEX, Contents, is_whole, walk
@@ -245,7 +245,7 @@ def open_recording(path: Path | str) -> Recording:
 
     A cut or damaged one is opened too: it says what is missing and warns once.
 
-    Raises `RecordingError` where the file is missing, empty, not a recording, from a newer schema, or cut
+    Raises `RecordingError` where the file is missing, closed to us, empty, not a recording, from a newer schema, or cut
     before its first chunk was on disk.
     """
     path = Path(path)
@@ -253,6 +253,15 @@ def open_recording(path: Path | str) -> Recording:
         path = path / IN_A_RUN
     if not path.is_file():
         raise RecordingError(f"{path}: no such recording; name the mission.mcap in a folder under runs/")
+    try:
+        return _opened(path)
+    except RecordingError:
+        raise
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {os_words(error)}") from error
+
+
+def _opened(path: Path) -> Recording:
     header = _header(path)
     parts, unread = _parts(path, header)
     if header.get("part", 1) != 1:

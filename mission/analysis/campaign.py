@@ -48,7 +48,8 @@ class Job:
 def jobs_of(folder: Path, results: Path, *, replay: bool, keys: tuple[str, ...] = ()) -> list[Job]:
     """A job for every recording under `folder`. Raises `DataError` where there is none."""
     if not folder.is_dir():
-        raise DataError(f"{folder}: no such folder")
+        why = "is a file; expected the folder it is in" if folder.exists() else "no such folder"
+        raise DataError(f"{folder}: {why}")
     logs = [log for log in sorted(folder.rglob("*.mcap")) if not is_later_part(log)]
     if not logs:
         raise DataError(f"{folder}: no recordings (*.mcap) in it")

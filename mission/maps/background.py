@@ -22,7 +22,7 @@ from typing import Any
 
 from typing_extensions import TypedDict
 
-from fieldkit.errors import ConfigError
+from fieldkit.errors import ConfigError, os_words
 from fieldkit.geo import FieldFrame
 from mission.core.mission_file import Mission
 from mission.maps.georeference import Corners, pixel_map, to_degrees
@@ -300,7 +300,7 @@ def _picture(path: Path, where: str, ground: Ground, crs: str) -> Background:
             "field, or make an .mbtiles of it"
         ) from error
     except _unreadable() as error:
-        raise ConfigError(f"{where}: cannot be read as a picture: {error}") from error
+        raise ConfigError(f"{where}: cannot be read as a picture: {os_words(error)}") from error
     picture = Picture("picture", media_type, data, (inner[0], inner[1], inner[2]))
     return Background((picture,), "", covered)
 

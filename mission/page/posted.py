@@ -5,7 +5,7 @@ from typing import Any
 
 from starlette.requests import Request
 
-from fieldkit.errors import DataError
+from fieldkit.errors import DataError, os_words
 
 
 async def posted(request: Request, *, most_bytes: int) -> Any:
@@ -22,5 +22,5 @@ async def posted(request: Request, *, most_bytes: int) -> Any:
     except UnicodeError:
         raise DataError("expected text, got half a letter") from None
     except (ValueError, RecursionError) as error:
-        raise DataError(f"cannot be read: {error}") from None
+        raise DataError(f"cannot be read: {os_words(error)}") from None
     return plain

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fieldkit import plugins
-from fieldkit.errors import ConfigError
+from fieldkit.errors import ConfigError, os_words
 from fieldkit.files import write_whole
 from fieldkit.geo import FieldFrame
 from mission.core.template import mission_text
@@ -117,7 +117,7 @@ class Desk:
         except FileNotFoundError:
             return None
         except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{self.path}: cannot be read: {error}") from error
+            raise ConfigError(f"{self.path}: cannot be read: {os_words(error)}") from error
 
     def _beside(self) -> list[Path]:
         try:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from closed import close
 from distributed import LocalCluster
 from typer.testing import CliRunner
 
@@ -117,6 +118,8 @@ def test_no_scheduler_no_folder_no_recordings_bad_sql(folder: Path, tmp_path: Pa
         campaign.run(jobs, dask="tcp://127.0.0.1:9")
     with pytest.raises(DataError, match="no such folder"):
         campaign.jobs_of(tmp_path / "none", tmp_path, replay=False)
+    with pytest.raises(DataError, match="is a file; expected the folder"):
+        campaign.jobs_of(Path(jobs[0].log), tmp_path, replay=False)
     with pytest.raises(DataError, match="no recordings"):
         campaign.jobs_of(tmp_path, tmp_path, replay=False)
     campaign.run(jobs, workers=1)
@@ -124,10 +127,16 @@ def test_no_scheduler_no_folder_no_recordings_bad_sql(folder: Path, tmp_path: Pa
         campaign.ask(tmp_path, jobs, "select nonsense from nowhere")
 
 
-def test_a_file_that_is_no_recording_is_named_and_the_others_are_taken_in(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_is_named_and_the_others_are_taken_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     record_simulated(tmp_path / "good", duration_s=20.0)
     (tmp_path / "bad.mcap").write_text("no")
+    shut = tmp_path / "closed.mcap"
+    shut.write_text("no")
+    close(shut, monkeypatch)
     done = CliRunner().invoke(build(), ["analyze", str(tmp_path), "--workers", "1", "--json"])
     said = json.loads(done.stdout)
-    assert done.exit_code == 2 and "bad.mcap" in said["refused"][0]["error"]
+    refused = [each["error"] for each in said["refused"]]
+    assert done.exit_code == 2 and "bad.mcap" in refused[0] and "closed.mcap: cannot be read" in refused[1]
     assert said["answer"][0]["missions"] == 1

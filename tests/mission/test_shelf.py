@@ -11,6 +11,7 @@ from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import pytest
+from closed import close
 
 from mission.cli.dashboard import _past
 from mission.lab.synthetic import record_simulated
@@ -44,19 +45,28 @@ def said(address: str, body: bytes | None = None, token: str = "") -> tuple[int,
 
 
 @pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="these names cannot be given there")
-def test_files_that_vanish_and_names_that_are_no_letters_leave_the_list(page: Page, tmp_path: Path) -> None:
+def test_files_that_vanish_and_names_that_are_no_letters_leave_the_list(
+    page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "gone.mcap").symlink_to(tmp_path / "nowhere")
     (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "closed.mcap").write_bytes(b"x")
+    close(tmp_path / "closed.mcap", monkeypatch)
     Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.mcap")).write_bytes(b"x")
     status, text = said(f"{page.address}runs/list")
     runs = {run["name"]: run.get("error", "") for run in json.loads(text)["runs"]}
-    assert status == 200 and set(runs) == {"mission.mcap", "?.mcap"} and "rename it" in runs["?.mcap"]
+    assert (
+        status == 200
+        and set(runs) == {"mission.mcap", "closed.mcap", "?.mcap"}
+        and "rename it" in runs["?.mcap"]
+    )
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "mission.mcap").read_bytes()[:3000])
     (cut,) = [
         run for run in json.loads(said(f"{page.address}runs/list")[1])["runs"] if run["name"] == "cut.mcap"
     ]
     assert str(tmp_path) not in cut["error"], "which one it is stands beside it"
     assert said(f"{page.address}runs/open", b'{"name": "?.mcap"}')[0] == 400
+    assert runs["closed.mcap"] == "cannot be read: permission denied"
 
 
 def test_more_than_can_be_listed_are_counted(

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from closed import close
 from mcap.writer import Writer
 
 from fieldkit.errors import RecordingError
@@ -172,6 +173,13 @@ def test_what_is_no_recording_is_refused_by_name(tmp_path, content, says):
 def test_a_missing_file_is_refused_by_name(tmp_path):
     with pytest.raises(RecordingError, match="no such recording"):
         open_recording(tmp_path / "none.mcap")
+
+
+def test_a_file_that_is_closed_to_us_is_refused_by_name(tmp_path, monkeypatch):
+    path = record(tmp_path / "x.mcap")
+    close(path, monkeypatch)
+    with pytest.raises(RecordingError, match=r"x\.mcap: cannot be read: permission denied$"):
+        open_recording(path)
 
 
 def test_another_programs_mcap_is_refused(tmp_path):
