@@ -51,3 +51,21 @@ def test_what_it_says_first_is_on_the_first_page(tab: Any) -> None:
     assert tab.evaluate("document.documentElement.scrollWidth") <= 390
     tab.emulate_media(media="print")
     assert not tab.locator("iframe").is_visible(), "on paper nothing moves"
+
+
+A4_PX = (688, 1016)
+"""What the margins of @page leave of a sheet of A4 in Chromium's pixels, 96 to an inch."""
+
+
+def test_on_paper_the_front_fits_a_sheet_and_no_table_leaves_it(tab: Any) -> None:
+    tab.set_viewport_size({"width": A4_PX[0], "height": A4_PX[1]})
+    tab.emulate_media(media="print")
+    assert tab.locator(".front > svg").count() == 1, "the map is on it"
+    assert tab.locator(".front").evaluate("(node) => node.getBoundingClientRect().bottom") <= A4_PX[1]
+    assert tab.evaluate("document.documentElement.scrollWidth") <= A4_PX[0]
+    assert tab.locator(".source table").count() > 0
+    wide = tab.evaluate(
+        """() => [...document.querySelectorAll('table')].filter(
+            (table) => table.scrollWidth > table.parentElement.clientWidth).length"""
+    )
+    assert wide == 0
