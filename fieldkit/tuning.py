@@ -79,6 +79,14 @@ class IntensityTuning(_Table):
         2e-4, 1e-8, 1.0, "Hz", "prior rate of detections that come from no source", HAND
     )
     max_open: int = tuned(300, 20, 100_000, "", "detections kept open; older ones are marginalised", MEMORY)
+    kept_mb: int = tuned(
+        256,
+        8,
+        100_000,
+        "MB",
+        "likelihoods kept of open detections; beyond it older ones are marginalised",
+        MEMORY,
+    )
     fine_cells: float = tuned(0.5, 0.5, 0.5, "cell", "spacing of a candidate's points", HAND)
     refine_points: int = tuned(
         300, 12, 100_000, "", "points from which on a candidate gets four for each of its own", MEMORY

@@ -10,6 +10,8 @@ from fieldkit import settings as given
 CELLS_A_SIDE = 60
 """Of the field: the belief refines itself where it needs to."""
 POSITION_SIGMA_M = 3.0
+KEPT_MB = 48
+"""Of a belief that runs beside other things on what a person carries."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +67,7 @@ def walk_text(options: WalkOptions) -> str:
                 "pose_sigma_m": POSITION_SIGMA_M,
                 "planning_period_s": 30.0,
             },
+            "tuning": {"intensity": {"kept_mb": KEPT_MB}},
             # Satellite receivers give a position a second, and now and then miss one.
             "association": {"window_s": 0.5, "lateness_s": 2.0, "max_pose_gap_s": 5.0},
             "end": {"max_duration_s": o.max_duration_s, "sources_found": max(1, round(o.expected))},

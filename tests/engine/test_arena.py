@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 
-from fieldkit.engine.belief.intensity.arena import FIRST_SIZE, UNKNOWN, Arena, starts, starts_table
+from fieldkit.engine.belief.intensity.arena import FIRST_SIZE, SPARE, UNKNOWN, Arena, starts, starts_table
 
 
 @budget(max_examples=60, deadline=None)
@@ -34,19 +34,42 @@ def test_room_is_bounded_by_what_is_held() -> None:
     for number in range(1_000):
         row = arena.put(np.full((3, 100), float(number)))
     gc.collect()
-    assert arena.values.size <= 2 * FIRST_SIZE
+    assert arena.values.size == FIRST_SIZE
     assert row.array.shape == (3, 100)
     assert (row.array == 999.0).all()
 
 
-def test_a_view_outlives_the_move_of_its_row() -> None:
+def test_what_is_read_of_a_row_outlives_its_move() -> None:
     arena = Arena()
-    row = arena.put(np.arange(10.0))
-    view = row.array
+    dropped, row = arena.put(np.zeros(100)), arena.put(np.arange(10.0))
+    read = row.array
+    del dropped
     others = [arena.put(np.ones(FIRST_SIZE)) for _ in range(3)]
-    assert (view == np.arange(10.0)).all()
-    assert (row.array == view).all()
+    assert row.start == 0
+    assert (read == np.arange(10.0)).all()
+    assert (row.array == read).all()
     assert len(others) == 3
+
+
+def test_an_array_has_little_room_to_spare_however_it_grew_or_shrank() -> None:
+    arena, held = Arena(), []
+    for number in range(400):
+        held.append(arena.put(np.full(1_000, float(number))))
+        needed = sum(row.size for row in held)
+        assert arena.held() == needed
+        assert arena.values.size <= max(FIRST_SIZE, SPARE * needed)
+    held = held[-20:]
+    for number in range(400):
+        held = [*held[1:], arena.put(np.full(1_000, float(number)))]
+    assert arena.values.size <= 2 * SPARE * 21_000
+    assert [float(row.array[0]) for row in held] == [float(n) for n in range(380, 400)]
+
+
+def test_rows_are_right_to_single_precision_and_read_in_double() -> None:
+    row = Arena().put(np.array([[np.pi, -100.0], [1e-30, 0.0]]))
+    assert row.array.dtype == np.float64
+    assert row.array == pytest.approx(np.array([[np.pi, -100.0], [1e-30, 0.0]]), rel=6e-8)
+    assert row.at(0, 1) == -100.0 and row.at(1, 1) == 0.0
 
 
 def test_a_copy_moves_its_own_rows_and_no_others() -> None:

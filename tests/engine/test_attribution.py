@@ -100,11 +100,31 @@ def test_a_pass_shares_detections_out_as_plain_numpy_does(seed: int, count: int,
         assert one.evidence == pytest.approx(other.evidence, abs=3e-3)
 
 
+def in_single(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """As an arena keeps them."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def test_what_the_unknown_explains_is_its_rate_times_the_likelihood() -> None:
+    rng = np.random.default_rng(5)
+    rate = rng.uniform(0, 1e-5, (7, 9))
+    boxes = np.array([[0, 4, 2, 8], [3, 7, 0, 9], [2, 3, 2, 3], [1, 1, 2, 2]])
+    likes = [in_single(rng.uniform(0, 1, (3, (b[1] - b[0]) * (b[3] - b[2])))) for b in boxes]
+    arena = Arena()
+    rows = [arena.put(like) for like in likes]
+    out = np.empty(4)
+    loops.log_expected(arena.values, starts(rows), boxes, 3, rate, out)
+    for log, like, (row0, row1, column0, column1) in zip(out, likes, boxes, strict=True):
+        mean = like.mean(axis=0).reshape(row1 - row0, column1 - column0)
+        expected = float((rate[row0:row1, column0:column1] * mean).sum())
+        assert log == pytest.approx(np.log(expected + 1e-300), abs=1e-12)
+
+
 def test_one_more_source_is_weighed_as_the_poisson_process_says() -> None:
     rng = np.random.default_rng(3)
     exposure = rng.uniform(0, 50, (2, 7, 9))
     boxes = np.array([[0, 4, 2, 8], [3, 7, 0, 9], [2, 3, 2, 3]])
-    likes = [rng.uniform(0, 1, (2, (b[1] - b[0]) * (b[3] - b[2]))) for b in boxes]
+    likes = [in_single(rng.uniform(0, 1, (2, (b[1] - b[0]) * (b[3] - b[2])))) for b in boxes]
     factor = np.array([0.7, 30.0, 1e-4])
     expected = -0.05 * exposure
     for like, (row0, row1, column0, column1), f in zip(likes, boxes, factor, strict=True):

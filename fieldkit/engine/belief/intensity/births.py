@@ -48,7 +48,7 @@ def birth(mixture: "Mixture") -> bool:
         candidate.know(number, mixture.log_likelihood(candidate, number))
         row0, row1, column0, column1 = stored.box
         if row0 <= row < row1 and column0 <= column < column1:
-            like = stored.like.array[level, (row - row0) * (column1 - column0) + column - column0]
+            like = stored.like.at(level, int((row - row0) * (column1 - column0) + column - column0))
             ratio = rate * like * np.exp(stored.log_scale - mixture.explained[number])
             candidate.set_responsibility(number, float(ratio / (1.0 + ratio)))
     if candidate.receptions < mixture.tuning.death_receptions:
@@ -140,5 +140,4 @@ def claim_by_name(mixture: "Mixture", number: int, stored: "OpenDetection", name
     sender.set_responsibility(number, 1.0)
     mixture.unclaimed[number] = 0.0
     mixture.explained[number] = 50.0  # nobody else needs to explain it
-    mixture.named.add(number)
     mixture.forget_summary(sender)

@@ -7,9 +7,15 @@ if TYPE_CHECKING:
     from fieldkit.engine.belief.intensity.mixture import Mixture
 
 
+FEWEST_OPEN = 20
+"""So many detections are kept open, whatever they take."""
+
+
 def freeze(mixture: "Mixture") -> None:
-    """Close old detections beyond `max_open`: of sources that have many, so that no rare one is forgotten."""
-    while len(mixture.open) > mixture.tuning.max_open:
+    """Close old detections beyond `max_open` or `kept_mb`: of sources that have many, so no rare one is forgotten."""
+    while len(mixture.open) > mixture.tuning.max_open or (
+        len(mixture.open) > FEWEST_OPEN and kept_bytes(mixture) > 1e6 * mixture.tuning.kept_mb
+    ):
         number = _to_freeze(mixture)
         responsibility = math.fsum(
             candidate.responsibility.get(number, 0.0) for candidate in mixture.candidates
@@ -18,7 +24,13 @@ def freeze(mixture: "Mixture") -> None:
         for candidate in mixture.candidates:
             candidate.forget(number)
         mixture.named.discard(number)
+        mixture.log_unknown.pop(number, None)
         del mixture.open[number], mixture.unclaimed[number], mixture.explained[number]
+
+
+def kept_bytes(mixture: "Mixture") -> int:
+    """What the likelihoods of the open detections take, over the ground and of the candidates."""
+    return (mixture.arena.held() + mixture.open_arena.held()) * mixture.arena.values.itemsize
 
 
 def _to_freeze(mixture: "Mixture") -> int:

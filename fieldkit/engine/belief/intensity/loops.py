@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from fieldkit.engine.belief.intensity.arena import Kept
 from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray, IntArray
 
@@ -36,7 +37,7 @@ def _exp(x: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def add_rows(values: FloatArray, rows: IntArray, factor: FloatArray, out: FloatArray) -> None:
+def add_rows(values: Kept, rows: IntArray, factor: FloatArray, out: FloatArray) -> None:
     """out (n,) plus the sum over k of factor[k] times the n values from rows[k] on."""
     for k in range(rows.shape[0]):
         row = values[rows[k] : rows[k] + out.shape[0]]
@@ -46,7 +47,7 @@ def add_rows(values: FloatArray, rows: IntArray, factor: FloatArray, out: FloatA
 
 @njit(cache=True, nogil=True)
 def attribute(
-    values: FloatArray,
+    values: Kept,
     rows: IntArray,
     responsibility: FloatArray,
     whole: FloatArray,
@@ -116,7 +117,7 @@ def attribute(
                 total = summed[c]
                 for a in range(start[c], start[c + 1]):
                     if weights[a] > 0.0:
-                        total_with += weights[a] * _exp(log_like[active[a]])
+                        total_with += weights[a] * _exp(np.float64(log_like[active[a]]))
             else:
                 best = -1e300
                 for a in range(start[c], start[c + 1]):
@@ -124,7 +125,7 @@ def attribute(
                     if rest > best:
                         best = rest
                 for a in range(start[c], start[c + 1]):
-                    like = log_like[active[a]]
+                    like = np.float64(log_like[active[a]])
                     rest = post[a] - weight * like - best
                     if rest > NEGLIGIBLE:
                         p = _exp(rest)
@@ -158,27 +159,33 @@ def attribute(
 
 @njit(cache=True, nogil=True)
 def log_expected(
-    values: FloatArray, rows: IntArray, box: IntArray, rate: FloatArray, out: FloatArray
+    values: Kept, rows: IntArray, box: IntArray, levels: int, rate: FloatArray, out: FloatArray
 ) -> None:
-    """out (k,): log of the sum over the cells of a box of `rate` (n_north, n_east) times a detection's likelihood.
+    """out (k,): log of the sum over the cells of a box of `rate` (n_north, n_east) times a detection's mean likelihood.
 
-    The likelihood stands in `values` from rows[k] on, over the cells of box[k] (row0, row1, column0, column1), row by
-    row.
+    The likelihood stands in `values` from rows[k] on: (levels, cells of its box (row0, row1, column0, column1) row by
+    row); all levels count alike.
     """
+    by_level = np.empty(rate.shape[1])
     for k in range(rows.shape[0]):
-        like = values[rows[k] : rows[k] + (box[k, 1] - box[k, 0]) * (box[k, 3] - box[k, 2])]
+        width = box[k, 3] - box[k, 2]
+        cells = (box[k, 1] - box[k, 0]) * width
         total = 0.0
-        at = 0
         for r in range(box[k, 0], box[k, 1]):
-            for c in range(box[k, 2], box[k, 3]):
-                total += rate[r, c] * like[at]
-                at += 1
-        out[k] = math.log(total + 1e-300)
+            by_level[:width] = 0.0
+            for h in range(levels):
+                at = rows[k] + h * cells + (r - box[k, 0]) * width
+                its = values[at : at + width]
+                for c in range(width):
+                    by_level[c] += its[c]
+            for c in range(width):
+                total += rate[r, box[k, 2] + c] * by_level[c]
+        out[k] = math.log(total / levels + 1e-300)
 
 
 @njit(cache=True, nogil=True)
 def another_source_llr(
-    values: FloatArray,
+    values: Kept,
     rows: IntArray,
     box: IntArray,
     factor: FloatArray,

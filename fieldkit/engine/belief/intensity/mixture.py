@@ -22,6 +22,7 @@ from fieldkit.engine.belief.intensity.merging import merge
 from fieldkit.engine.belief.intensity.nuisance import learnt_clutter, shared_sigma_m
 from fieldkit.engine.belief.intensity.responsibilities import Attribution, attribute
 from fieldkit.engine.belief.intensity.silence import note_heard
+from fieldkit.engine.belief.intensity.unknown import log_unknown_of
 from fieldkit.engine.belief.intensity.watch import Watch, watch_receivers, without_insensitive
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears import Ears
@@ -39,9 +40,7 @@ class OpenDetection:
     detection: Detection
     box: tuple[int, int, int, int]
     like: Row
-    """(known levels, cells of the box, row by row)"""
-    mean_like: Row
-    """(rows, columns) of the box: the same averaged over the levels."""
+    """(known levels, cells of the box, row by row); (known levels, 0) where it names its sender."""
     log_scale: float
     log_clutter: float
     """log intensity with which noise explains it: any strength within 80 dB."""
@@ -109,8 +108,10 @@ class Mixture:
         """Neighbours to the receptions of both at which it is next asked whether they are one."""
         self.arena = Arena()
         """What candidates know of detections."""
-        self._open_arena = Arena()
+        self.open_arena = Arena()
         """Likelihoods of the open detections over the grid."""
+        self.log_unknown: dict[int, float] = {}
+        """Open detection to the log of the intensity of sources not yet known, until the exposure changes."""
         self.watch = Watch()
         """Receivers against each other."""
         self.named: set[int] = set()
@@ -129,6 +130,7 @@ class Mixture:
     def listen(self, listening: Listening) -> None:
         """Add to the exposure of the ground where robots listened."""
         self.now_ns = max(self.now_ns, listening.t1_ns)
+        self.log_unknown.clear()
         self.since_ns = listening.t0_ns if self.since_ns is None else min(self.since_ns, listening.t0_ns)
         hearing = [not self.is_insensitive(robot) for robot in listening.robots]
         if not any(hearing):
@@ -199,10 +201,13 @@ class Mixture:
     def _open(self, detection: Detection) -> None:
         number = self._next_detection
         self._next_detection += 1
-        stored = self.store(without_insensitive(self, self.ears.corrected(detection)))
+        named = self.settings.identity == "address" and detection.sender is not None
+        if named:
+            self.named.add(number)
+        stored = self.store(number, without_insensitive(self, self.ears.corrected(detection)))
         self.open[number] = stored
         self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
-        if self.settings.identity == "address" and detection.sender is not None:
+        if named and detection.sender is not None:
             claim_by_name(self, number, stored, detection.sender)
             return
         if self.settings.identity == "address" and not self._nameless:
@@ -284,21 +289,21 @@ class Mixture:
             self.sweep(1)
         self._prune()
 
-    def store(self, detection: Detection) -> OpenDetection:
+    def store(self, number: int, detection: Detection) -> OpenDetection:
         heard_at = detection.position_m[detection.heard]
         row0, row1, column0, column1 = self.grid.box_around(heard_at, self.model.reach_m)
-        east, north = self.grid.east_m[column0:column1], self.grid.north_m[row0:row1]
-        points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
-        log = self.model.known_log_likelihood(detection, points, self.cell_ears)
-        scale = float(log.max())
-        like = np.exp(log - scale)
+        like, scale = np.empty((self.model.n_known, 0)), 0.0
+        if number not in self.named:  # nobody else is asked for what names its sender
+            east, north = self.grid.east_m[column0:column1], self.grid.north_m[row0:row1]
+            points = np.column_stack([np.tile(east, north.size), np.repeat(north, east.size)])
+            log = self.model.known_log_likelihood(detection, points, self.cell_ears)
+            scale = float(log.max())
+            like = np.exp(log - scale)
         clutter = float(np.log(self.tuning.clutter_hz) - len(heard_at) * np.log(80.0))
-        mean = like.mean(axis=0).reshape(north.size, east.size)
         return OpenDetection(
             detection,
             (row0, row1, column0, column1),
-            self._open_arena.put(like),
-            self._open_arena.put(mean),
+            self.open_arena.put(like),
             scale,
             clutter,
             heard_at,
@@ -334,27 +339,13 @@ class Mixture:
         )
         return result
 
-    def _log_unknown(self) -> FloatArray:
-        """(detections that name nobody,) log intensity with which sources not yet known explain each."""
-        stored = [each for number, each in self.open.items() if number not in self.named]
-        logs = np.empty(len(stored))
-        loops.log_expected(
-            self._open_arena.values,
-            starts([s.mean_like for s in stored]),
-            np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
-            self.unknown_rate(),
-            logs,
-        )
-        result: FloatArray = logs + np.array([s.log_scale for s in stored])
-        return result
-
     def sweep(self, sweeps: int) -> None:
         """Attribution of all open detections, from the predictions of the candidates and of the unknown.
 
         All but the last sweep look only at detections still in doubt or new.
         """
         numbers = [number for number in self.open if number not in self.named]
-        log_unknown = self._log_unknown()
+        log_unknown = log_unknown_of(self, numbers)
         more = learnt_clutter(self)
         log_clutter = np.array([self.open[number].log_clutter + more for number in numbers])
         left = Attribution(
@@ -413,10 +404,11 @@ class Mixture:
         """
         rate_hz = rate_hz or self.settings.reference_rate_hz
         ratio = np.empty((self.model.n_known, *self.grid.shape))
-        stored = self.open.values()
-        scale = np.array([s.log_scale for s in stored]) - np.array([self.explained[k] for k in self.open])
+        numbers = [number for number in self.open if number not in self.named]
+        stored = [self.open[number] for number in numbers]
+        scale = np.array([s.log_scale for s in stored]) - np.array([self.explained[k] for k in numbers])
         loops.another_source_llr(
-            self._open_arena.values,
+            self.open_arena.values,
             starts([s.like for s in stored]),
             np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
             rate_hz * np.exp(scale),

@@ -242,7 +242,8 @@ def _correct(mixture: "Mixture", learnt: dict[str, float]) -> None:
     mixture.model.ears = mixture.ears
     for number, stored in mixture.open.items():
         raw = before.uncorrected(stored.detection)
-        mixture.open[number] = mixture.store(mixture.ears.corrected(raw))
+        mixture.open[number] = mixture.store(number, mixture.ears.corrected(raw))
+    mixture.log_unknown.clear()
     for candidate in mixture.candidates:
         for number in candidate.logs:
             responsibility, old = candidate.responsibility[number], candidate.logs[number].array
