@@ -10,12 +10,13 @@ An agent logs only what its own robot observes, and of every robot's commands it
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Logs, Observation
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.engine.decentralised.talk import Talk, code_of
+from fieldkit.engine.decentralised.ways import Way
 from fieldkit.messages import (
     Command,
     Detection,
@@ -289,9 +290,11 @@ class Agent:
         if getattr(command, "robot", "") == self.me:
             self._target = command.waypoint if isinstance(command, GoTo) else None
 
-    def messages(self, now_ns: int) -> list[bytes]:
-        """What it has to say to the others at this tick."""
-        return self.talk.messages(now_ns, self._target)
+    def messages(
+        self, now_ns: int, way: Way | None = None, known: Mapping[str, Way] | None = None
+    ) -> list[bytes]:
+        """What it has to say to the others at this tick; its robot's way and others' that are known, from safety."""
+        return self.talk.messages(now_ns, way, known)
 
 
 def _essence(state: VehicleState) -> tuple[object, ...]:

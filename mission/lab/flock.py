@@ -147,7 +147,8 @@ class Flock:
                 continue
             if name not in self.ended:
                 self._tick(name, agent)
-            for message in agent.messages(self._now_ns(name)):
+            safety = self.safety[name]
+            for message in agent.messages(self._now_ns(name), safety.way, safety.ways):
                 self.network.send(self.world.t_s, name, message, places_m)
         self._count_too_near()
         if round(self.world.t_s / given.TICK_S) % round(LOOK_S / given.TICK_S) == 0:
@@ -183,7 +184,7 @@ class Flock:
             self.safety[name].observe(event)
         agent.fresh.clear()
         for other, peer in agent.talk.peers.items():
-            self.safety[name].expect(other, peer.target)
+            self.safety[name].expect(other, peer.way, peer.knows)
 
     def _observe(self, name: str, event: Event) -> None:
         """What a robot's own devices say, by its own clock."""

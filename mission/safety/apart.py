@@ -1,20 +1,43 @@
-"""Safety on a robot that does not hear all the others: it keeps off the ground that those may have reached. Pure.
+"""Safety on a robot that hears the others late, or not at all. Pure.
 
-A robot of which nothing is known for longer than positions hold may be anywhere within what it can have driven since.
-That ground grows until it is heard again. Where the operator says within which distance robots hear each other
-(`contact_m`), one that lives and is not heard is further away than that, and one that does not live stands on the path
-it was last on, which safety keeps clear of anyway.
+Of a robot that is heard promptly (within `pose_timeout_s`) the rules of one computer hold. Of one heard late, or no
+more, nobody knows where it is by now. Against it this robot goes a way
+
+- that leads nowhere the other can have come to since, at the speed limit: that ground grows until it is heard again;
+- or that the other has **confirmed** to know. Every robot announces its way at every tick, with the number of the last
+  way that it knows of each other's. A new way that needs to be confirmed is announced and waits, its robot standing at
+  its start, until all who need to have confirmed it and what they announce themselves is clear of it. Of two waiting
+  ways that cross, the one announced first goes, by number and name. A robot leaves its way for another only where it
+  stands or where both rules allow it, so it is on its way, or stopped on it, until it has announced another;
+- or that the operator's promise covers (`contact_m`): one that lives and is not heard is further away than that, and
+  one that does not live stands on the path it was last on, which safety keeps clear of anyway.
+
+Why no two meet: take r1 on a way that r2 has confirmed. What r2 drove when it confirmed stands in that very message,
+and r1 keeps clear of it. Whatever way r2 takes afterwards, by whichever rule, it takes knowing of r1's, and keeps clear
+of all of it until r1 announces another. Where both waited, both know both ways before either goes, and decide alike.
+Take r1 on unconfirmed ground: it holds as soon as r2 may have come to what is left of its path, so wherever r2 is, it
+is not there. Clocks, delays and losses appear nowhere in this: they cost waiting. A way costs a round trip.
+
+Not covered: the way home after a low battery or an order to return is announced, but waits for nobody.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from fieldkit.geometry.segments import Segment, ever_m, standing
+from fieldkit.engine.decentralised.logs import TICK_NS
+from fieldkit.engine.decentralised.ways import NO_WAY, Way
+from fieldkit.geometry.segments import Place, Segment, ever_m, leaves, standing
 from fieldkit.messages import Command, Event, GoTo, Hold, Tick, Waypoint
 from mission.safety.limits import SafetySettings
-from mission.safety.monitor import SLOW_M_S
+from mission.safety.monitor import SLOW_M_S, Watched
 from mission.safety.rules import Safety
 from mission.safety.separation import CLEAR_OF_NEAR, Occupancy, are_layered
+
+ASKED_S = 5.0
+"""A waiting way that is not asked for again within this time is given up."""
+SAME_END_M = 0.01
+MOVED_SHARE = 0.5
+"""One that stands has moved when it is further from where it stood than this share of what is too near."""
 
 
 def least_contact_m(settings: SafetySettings) -> float:
@@ -29,61 +52,177 @@ class SafetyApart(Safety):
 
     me: str = ""
     contact_m: float | None = None
+    way: Way | None = None
+    """What it announces; None before its own robot is seen."""
+    ways: dict[str, Way] = field(default_factory=dict)
+    """What others announce."""
+    knows: dict[str, int] = field(default_factory=dict)
+    """The number of the last way of its own that each other has confirmed."""
+    _asked_ns: int = 0
+    """When the waiting way was last asked for."""
+
+    @property
+    def _clear_m(self) -> float:
+        return CLEAR_OF_NEAR * self.settings.near_m
+
+    # -- what happens --------------------------------------------------------------------------------------
 
     def observe(self, event: Event) -> list[Command]:
         """As for one computer; and a hold where the path under way leads to where another may be by now."""
         commands = super().observe(event)
-        mine = self.robots[self.me]
-        if not isinstance(event, Tick) or not mine.moving or (segment := mine.segment()) is None:
+        if not isinstance(event, Tick):
             return commands
-        if reason := self._may_meet(segment, event.t_ns):
+        mine = self.robots[self.me]
+        segment = mine.segment() if mine.moving else None
+        reason = "" if segment is None else self._may_meet(segment, event.t_ns)
+        if reason:
             hold = Hold(event.t_ns, self.me, reason)
             self._note(hold)
             self.interventions += 1
             commands.append(hold)
+        self._announce_rest(event.t_ns)
         return commands
 
-    def expect(self, robot: str, target: Waypoint | None) -> None:
-        """Another says where it is going; None: it has been told to hold, and once it is seen to stand it does."""
+    def expect(self, robot: str, way: Way | None, knows: int = NO_WAY) -> None:
+        """Another has announced its way, and which of ours it knows."""
         other = self.robots[robot]
-        if target is None:
+        self.knows[robot] = knows
+        if way is None:
+            return
+        self.ways[robot] = way
+        if way.waits or way.start_m == way.end_m:  # announced only once it stands
             other.stop()
-            if math.hypot(*other.velocity_m_s) < SLOW_M_S:
-                other.fading = None
-        elif other.place_m is not None:
-            end_m = (target.east_m, target.north_m)
-            if other.target is None or other.target.end_m != end_m:
-                other.send(Segment(other.place_m, end_m, max(target.speed_m_s, 0.01)), other.now_ns)
+            other.fading = None
+        elif other.place_m is not None and (other.target is None or other.target.end_m != way.end_m):
+            other.send(Segment(other.place_m, way.end_m, max(way.speed_m_s, 0.01)), other.now_ns)
 
     def _allow_goto(
         self, command: GoTo, new: dict[str, Segment], occupied: dict[str, Occupancy], undecided: set[str]
     ) -> Command:
         allowed = super()._allow_goto(command, new, occupied, undecided)
-        place_m = self.robots[self.me].place_m
-        if not isinstance(allowed, GoTo) or command.robot != self.me or place_m is None:
+        mine = self.robots.get(command.robot)
+        if not isinstance(allowed, GoTo) or mine is None or mine.name != self.me or mine.place_m is None:
             return allowed
-        target = allowed.waypoint
-        segment = Segment(place_m, (target.east_m, target.north_m), max(target.speed_m_s, 0.01))
-        reason = self._may_meet(segment, command.t_ns)
+        reason = self._delays(mine, mine.place_m, allowed.waypoint, command.t_ns)
         return Hold(command.t_ns, command.robot, reason) if reason else allowed
 
+    # -- one's own way -------------------------------------------------------------------------------------
+
+    def _delays(self, mine: Watched, place_m: Place, target: Waypoint, now_ns: int) -> str:
+        """Why it may not set out yet; empty where it may, which is then announced."""
+        segment = Segment(place_m, (target.east_m, target.north_m), max(target.speed_m_s, 0.01))
+        is_announced = self.way is not None and math.dist(self.way.end_m, segment.end_m) <= SAME_END_M
+        if reason := self._crosses_waiting(segment, is_announced and self.way is not None and self.way.waits):
+            return reason
+        reason = self._may_meet(segment, now_ns)
+        if not reason:
+            if not is_announced or (self.way is not None and self.way.waits):
+                self._announce(segment, now_ns, waits=False, anew=not is_announced)
+            return ""
+        if is_announced:
+            self._asked_ns = now_ns
+        elif (
+            math.hypot(*mine.velocity_m_s) < SLOW_M_S and not mine.moving and self._is_clear_of_late(segment)
+        ):
+            self._asked_ns = now_ns
+            self._announce(segment, now_ns, waits=True)
+        return reason
+
+    def _announce(self, segment: Segment, now_ns: int, *, waits: bool, anew: bool = True) -> None:
+        last = NO_WAY if self.way is None else self.way.number
+        number = max(now_ns // TICK_NS, last + 1) if anew else last
+        start_m = segment.start_m if anew or self.way is None else self.way.start_m
+        self.way = Way(number, start_m, segment.end_m, segment.speed_m_s, waits)
+
+    def _announce_rest(self, now_ns: int) -> None:
+        """Give back the ground that it does not need: it stands, and does not wait."""
+        mine, way = self.robots[self.me], self.way
+        place_m = mine.place_m
+        if place_m is None or mine.moving:
+            return
+        home = self.returning.segments(self.robots, self.settings).get(self.me)
+        if home is not None:
+            if way is None or math.dist(way.end_m, home.end_m) > SAME_END_M:
+                self._announce(home, now_ns, waits=False)
+            return
+        if math.hypot(*mine.velocity_m_s) >= SLOW_M_S:
+            return
+        if way is not None and way.waits:
+            others_first = self._crosses_waiting(way.segment, is_waiting=True)
+            if not others_first and (now_ns - self._asked_ns) * 1e-9 <= ASKED_S:
+                return
+        elif way is not None and way.start_m == way.end_m:
+            moved_m = math.dist(place_m, way.end_m)
+            if moved_m <= MOVED_SHARE * self.settings.near_m:
+                return
+        self._announce(standing(place_m), now_ns, waits=False)
+
+    # -- others --------------------------------------------------------------------------------------------
+
+    def _others(self) -> list[tuple[str, Watched, Place]]:
+        """Whom it can meet, and where each was last seen."""
+        mine = self.robots[self.me]
+        return [
+            (name, other, other.place_m)
+            for name, other in self.robots.items()
+            if name != self.me and other.place_m is not None and not are_layered(mine, other, self.settings)
+        ]
+
+    def _crosses_waiting(self, segment: Segment, is_waiting: bool) -> str:
+        """Which robot waits to go across this path and goes first; `is_waiting`: this path waits as well."""
+        for name, _, _ in self._others():
+            theirs = self.ways.get(name)
+            if theirs is None or not theirs.waits or ever_m(segment, theirs.segment) >= self._clear_m:
+                continue
+            if leaves(segment, theirs.segment, self._clear_m):
+                continue
+            ours_first = is_waiting and self.way is not None
+            if ours_first and self.way is not None and (self.way.number, self.me) < (theirs.number, name):
+                continue
+            return f"{name} waits to go across its path, and goes first"
+        return ""
+
+    def _ground(self, other: Watched, place_m: Place) -> Segment:
+        """Where one heard late may be: on what is left of the way it has announced, or where it was last seen."""
+        way = self.ways.get(other.name)
+        if way is None or other.pose is None:
+            return standing(place_m)
+        if way.waits:
+            return standing(way.start_m)
+        # Seen before it announced this way, it has come to the start of it since.
+        return Segment(way.start_m if other.pose.t_ns < way.number * TICK_NS else place_m, way.end_m, 1.0)
+
+    def _is_clear(self, segment: Segment, other: Watched, place_m: Place) -> bool:
+        ground = self._ground(other, place_m)
+        return ever_m(segment, ground) >= self._clear_m or leaves(segment, ground, self._clear_m)
+
+    def _is_clear_of_late(self, segment: Segment) -> bool:
+        """Whether a way is worth announcing: what others have announced is clear of it."""
+        return all(
+            self._is_clear(segment, other, place_m)
+            for _, other, place_m in self._others()
+            if self._age_s(other, other.now_ns) > self.settings.pose_timeout_s
+        )
+
+    def _age_s(self, other: Watched, now_ns: int) -> float:
+        return math.inf if other.pose is None else (now_ns - other.pose.t_ns) * 1e-9
+
     def _may_meet(self, segment: Segment, now_ns: int) -> str:
-        """Which robot that is not heard may be on this path; empty where none can."""
+        """Which robot that is heard late, or not, may be on this path or come onto it; empty where none can."""
         if self.contact_m is not None:
             return ""
-        settings, mine = self.settings, self.robots[self.me]
-        for name, other in self.robots.items():
-            if (
-                name == self.me
-                or other.pose is None
-                or other.place_m is None
-                or are_layered(mine, other, settings)
-            ):
-                continue
-            silent_s = (now_ns - other.pose.t_ns) * 1e-9
+        settings = self.settings
+        is_announced = self.way is not None and math.dist(self.way.end_m, segment.end_m) <= SAME_END_M
+        for name, other, place_m in self._others():
+            silent_s = self._age_s(other, now_ns)
             if silent_s <= settings.pose_timeout_s:
                 continue
-            reach_m = settings.max_speed_m_s * silent_s + CLEAR_OF_NEAR * settings.near_m
-            if ever_m(segment, standing(other.place_m)) < reach_m:
-                return f"{name} is not heard for {silent_s:.0f} s and may have come onto its path"
+            if ever_m(segment, standing(place_m)) >= settings.max_speed_m_s * silent_s + self._clear_m:
+                continue
+            if not self._is_clear(segment, other, place_m):
+                return f"{name} was last heard {silent_s:.0f} s ago, and may be on its path"
+            if not is_announced or self.way is None or self.knows.get(name, NO_WAY) != self.way.number:
+                return (
+                    f"{name} was last heard {silent_s:.0f} s ago, and has not confirmed to keep off its path"
+                )
         return ""

@@ -136,9 +136,13 @@ class AgentRunner(Runner):
             self._expect()
 
     def _expect(self) -> None:
-        assert isinstance(self.safety, SafetyApart)
         for name, peer in self.crew.agent.talk.peers.items():
-            self.safety.expect(name, peer.target)
+            self._apart.expect(name, peer.way, peer.knows)
+
+    @property
+    def _apart(self) -> SafetyApart:
+        assert isinstance(self.safety, SafetyApart)
+        return self.safety
 
     def _meet(self, card: Card | None) -> None:
         """Another agent says who it is. Raises `ConfigError` where it has our robot already."""
@@ -182,7 +186,7 @@ class AgentRunner(Runner):
         """What is new goes to the journal, and then to the others."""
         crew, now_ns = self.crew, self.setup.clock.now_ns()
         crew.journal.write(crew.agent.logs)
-        for message in crew.agent.messages(now_ns):
+        for message in crew.agent.messages(now_ns, self._apart.way, dict(self._apart.ways)):
             crew.network.publish(message)
         now_s = self.setup.clock.elapsed_s()
         if now_s - self._card_s >= CARD_EVERY_S:
@@ -223,7 +227,7 @@ class AgentRunner(Runner):
         clock, agent = self.setup.clock, self.crew.agent
         until_s = clock.elapsed_s() + LINGER_S
         while clock.elapsed_s() < until_s and self._somebody_lacks():
-            for message in agent.messages(clock.now_ns()):
+            for message in agent.messages(clock.now_ns(), self._apart.way, self._apart.ways):
                 self.crew.network.publish(message)
             await clock.sleep(TICK_S)
 

@@ -13,8 +13,9 @@ from fieldkit.engine.decentralised import packing
 from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, TICK_NS, Entry, Logs, Part, Stream
 from fieldkit.engine.decentralised.sealing import OVERHEAD_BYTES, Seal, parse_key, session_key
 from fieldkit.engine.decentralised.talk import OPERATOR, ORDER, STATE, Talk, code_of
+from fieldkit.engine.decentralised.ways import NO_WAY, Way
 from fieldkit.errors import ConfigError, RecordingError
-from fieldkit.messages import Operator, Pose, ReceiverState, RssReading, VehicleState, Waypoint
+from fieldkit.messages import Operator, Pose, ReceiverState, RssReading, VehicleState
 from fieldkit.world.network import Air, Network
 
 ROBOTS = ("a", "b", "c", "d")
@@ -232,15 +233,25 @@ def test_two_poses_and_a_reading_a_second_take_a_tenth_of_a_telemetry_radio() ->
     assert max(a_second) < 200.0, "of the 1400 B/s that each of four has at 57.6 kbit/s"
 
 
-def test_a_member_says_where_it_goes_and_whom_it_hears() -> None:
+def test_a_member_says_its_way_which_ways_it_knows_and_whom_it_hears() -> None:
     a, b = member("a"), member("b")
-    (state,) = a.messages(START_NS, Waypoint(3.5, 7.25, 0.4))
+    way = Way(START_NS // TICK_NS - 3, (1.0, 2.0), (3.5, 7.25), 0.4, waits=True)
+    (state,) = a.messages(START_NS, way)
     assert b.take(state, START_NS) is not None
-    assert b.peers["a"].target == Waypoint(3.5, 7.25, 0.4) and b.peers["a"].hears == ()
-    (state,) = b.messages(START_NS)
+    assert b.peers["a"].way == way and b.peers["a"].hears == () and b.peers["a"].knows == NO_WAY
+    (state,) = b.messages(START_NS, None, {"a": way})
     a.take(state, START_NS)
-    assert a.peers["b"].hears == ("a",) and a.peers["b"].target is None
+    assert a.peers["b"].hears == ("a",) and a.peers["b"].way is None and a.peers["b"].knows == way.number
     assert b.in_range(START_NS + 2 * S) == ["a"] and b.in_range(START_NS + 4 * S) == []
+
+
+def test_a_way_that_was_overtaken_by_a_later_one_is_not_believed() -> None:
+    a, b = member("a"), member("b")
+    first, second = (Way(START_NS // TICK_NS + k, (1.0, 2.0), (3.0 + k, 7.0), 0.4) for k in range(2))
+    early, late = a.messages(START_NS, first)[0], a.messages(START_NS + TICK_NS, second)[0]
+    for message in (late, early):
+        assert b.take(message, START_NS + TICK_NS) is not None
+    assert b.peers["a"].way == second
 
 
 def test_an_order_leaves_at_once_and_is_said_again_for_those_who_missed_it() -> None:

@@ -9,6 +9,7 @@ from fieldkit.channel.model import Antenna
 from fieldkit.engine.decentralised.logs import TICK_NS, Logs
 from fieldkit.engine.decentralised.sealing import Seal, session_key
 from fieldkit.engine.decentralised.talk import Talk
+from fieldkit.engine.decentralised.ways import Way
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Event, GoTo, Hold, Operator, Pose, RssReading, Tick, VehicleState, Waypoint
@@ -219,7 +220,7 @@ def test_the_ground_that_one_who_is_not_heard_may_have_reached_is_kept_clear() -
         before = second
         command = safety.allow(GoTo(second * S, "r1", Waypoint(1.0, 5.0, 0.4)))
         assert isinstance(command, GoTo) == allowed, second
-    assert isinstance(command, Hold) and "r3 is not heard for 25 s" in command.reason
+    assert isinstance(command, Hold) and "r3 was last heard 25 s ago" in command.reason
     promised = apart(contact_m=6.0)
     see(promised, 0, 25)
     assert isinstance(promised.allow(GoTo(25 * S, "r1", Waypoint(1.0, 5.0, 0.4))), GoTo)
@@ -231,16 +232,15 @@ def test_one_under_way_is_held_before_it_comes_to_such_ground() -> None:
     assert isinstance(safety.allow(GoTo(0, "r1", Waypoint(1.0, 7.0, 0.1))), GoTo)
     assert see(safety, 0, 15, 0.1) == []
     (hold, *_) = see(safety, 15, 22, 0.1)
-    assert "r3 is not heard" in hold.reason
+    assert "r3 was last heard" in hold.reason
 
 
 def test_others_go_where_they_say_not_where_one_thinks() -> None:
     safety = apart()
     see(safety, 0, 1)
-    safety.expect("r2", Waypoint(3.0, 6.0, 0.4))
+    safety.expect("r2", Way(1, (3.0, 1.0), (3.0, 6.0), 0.4))
     assert isinstance(safety.allow(GoTo(S, "r1", Waypoint(6.0, 4.0, 0.4))), Hold)
-    safety.expect("r2", None)
-    safety.robots["r2"].fading = None
+    safety.expect("r2", Way(2, (3.0, 1.0), (3.0, 1.0)))
     assert isinstance(safety.allow(GoTo(S, "r1", Waypoint(1.0, 4.0, 0.4))), GoTo)
 
 

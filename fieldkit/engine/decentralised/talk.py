@@ -1,20 +1,22 @@
 """What one member says to the others, and when: what they lack, the most urgent first, within a budget. Pure.
 
-At every tick a member sends what it has of every log (a table of a few bytes a log), where it is going, and what is new
-in its own logs. Whose table shows that it lacks something gets it again: from the author where it hears that one, else
-from the first by name that it does hear and that has more. So what robots know travels with them, and after a long
-separation the logs fill up at the pace that the budget allows, orders before readings before poses.
+At every tick a member sends what it has of every log (a table of a few bytes a log), its way, which ways of others it
+knows, and what is new in its own logs. Whose table shows that it lacks something gets it again: from the author where
+it hears that one, else from the first by name that it does hear and that has more. So what robots know travels with
+them, and after a long separation the logs fill up at the pace that the budget allows, orders before readings before
+poses.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from fieldkit.engine.decentralised import packing
 from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, TICK_NS, Entry, Key, Logs, Part, Stream
 from fieldkit.engine.decentralised.sealing import OVERHEAD_BYTES, Opened, Seal
+from fieldkit.engine.decentralised.ways import NO_WAY, Way, read_way, write_way
 from fieldkit.errors import RecordingError
-from fieldkit.messages import Operator, Waypoint
+from fieldkit.messages import Operator
 from fieldkit.settings import AGENT_BYTES_S, TICK_S
 
 STATE, PARTS, ORDER = 1, 2, 3
@@ -50,8 +52,12 @@ class Peer:
     """How many entries it has of each log, as it last said."""
     hears: tuple[str, ...] = ()
     """Whom it hears."""
-    target: Waypoint | None = None
-    """Where it is going."""
+    said_ns: int = 0
+    """When it said the last of what follows, by its clock: messages overtake each other."""
+    way: Way | None = None
+    """Where it may be."""
+    knows: int = NO_WAY
+    """The number of the last way of ours that it knows."""
     obeyed: int = -1
     """The code of the last order that it has obeyed; -1: none."""
     ahead_s: float = 0.0
@@ -135,7 +141,7 @@ class Talk:
             tick = reader.uint()
             if opened.kind == ORDER:
                 return Said(name, order=_read_order(reader))
-            table = self._read_state(peer, reader, tick) if opened.kind == STATE else {}
+            table = self._read_state(peer, reader, tick, opened.sent_ns) if opened.kind == STATE else {}
             new = self._read_parts(reader, tick)
             self._learn(peer, table, now_ns)
             return Said(name, new)
@@ -153,15 +159,19 @@ class Talk:
         self.refused += 1
         return None
 
-    def _read_state(self, peer: Peer, reader: packing.Reader, tick: int) -> dict[Key, tuple[int, int]]:
+    def _read_state(
+        self, peer: Peer, reader: packing.Reader, tick: int, sent_ns: int
+    ) -> dict[Key, tuple[int, int]]:
         """What it has of each log, and up to which tick that is whole."""
         robots = self.logs.robots
         bits = reader.uint()
-        peer.hears = tuple(robot for number, robot in enumerate(robots) if bits >> number & 1)
-        speed = reader.uint()
-        places = (reader.sint() / packing.MM, reader.sint() / packing.MM) if speed else (0.0, 0.0)
-        peer.target = Waypoint(*places, (speed - 1) / packing.MM) if speed else None
-        peer.obeyed = reader.uint() - 1
+        hears = tuple(robot for number, robot in enumerate(robots) if bits >> number & 1)
+        way = read_way(reader, tick)
+        known = {robot: NO_WAY if (age := reader.uint()) == 0 else tick - age + 1 for robot in robots}
+        obeyed = reader.uint() - 1
+        if sent_ns > peer.said_ns:
+            peer.said_ns, peer.hears, peer.way, peer.obeyed = sent_ns, hears, way, obeyed
+            peer.knows = known.get(self.logs.me, NO_WAY)
         return {key: (reader.uint(), tick - reader.sint()) for key in self.logs.keys(robots)}
 
     def _learn(self, peer: Peer, table: dict[Key, tuple[int, int]], now_ns: int) -> None:
@@ -188,11 +198,16 @@ class Talk:
         self._orders.append((SAID_AGAIN, order))
         return self.say_order(order, now_ns)
 
-    def messages(self, now_ns: int, target: Waypoint | None = None) -> list[bytes]:
-        """What is to be said at this tick, the most urgent first. `target` is where we are going."""
+    def messages(
+        self, now_ns: int, way: Way | None = None, known: Mapping[str, Way] | None = None
+    ) -> list[bytes]:
+        """What is to be said at this tick, the most urgent first.
+
+        `way` is where we may be, `known` the ways of others that we keep clear of: to say so is a promise.
+        """
         orders = [self.say_order(order, now_ns) for _, order in self._orders]
         self._orders = [(left - 1, order) for left, order in self._orders if left > 1]
-        state = self._state(now_ns, target)
+        state = self._state(now_ns, way, known or {})
         self._left = min(self._left + self.bytes_s * TICK_S, self.bytes_s * BURST_S)
         self._left -= sum(map(len, orders)) + len(state) + OVERHEAD_BYTES
         self._told_before.append(dict(self._told))
@@ -216,15 +231,15 @@ class Talk:
         self.sent["order"] += len(data)
         return data
 
-    def _state(self, now_ns: int, target: Waypoint | None) -> bytes:
+    def _state(self, now_ns: int, way: Way | None, known: Mapping[str, Way]) -> bytes:
         out, logs, tick = packing.Bytes(), self.logs, now_ns // TICK_NS
         out.uint(tick)
         heard = set(self.in_range(now_ns))
         out.uint(sum((robot in heard) << number for number, robot in enumerate(logs.robots)))
-        out.uint(0 if target is None else 1 + round(target.speed_m_s * packing.MM))
-        if target is not None:
-            out.sint(round(target.east_m * packing.MM))
-            out.sint(round(target.north_m * packing.MM))
+        write_way(out, way, tick)
+        for robot in logs.robots:
+            # A number from the future is of a clock far ahead, and is confirmed once it has come.
+            out.uint(max(0, tick + 1 - known[robot].number) if robot in known else 0)
         out.uint(self.obeyed + 1)
         for key in logs.keys(logs.robots):
             out.uint(len(logs.entries[key]))
