@@ -29,6 +29,7 @@ COMMANDS: dict[str, Callable[[str, str], list[str]]] = {
     "calibrate fit": lambda file, out: ["calibrate", "fit", file, "-o", out],
     "survey": lambda file, out: ["survey", file, file, "--antenna", file],
     "calibrate update": lambda file, out: ["calibrate", "update", file, file],
+    "collect": lambda file, out: ["collect", out + ".mcap", file],
     "refit": lambda file, out: ["refit", file, "-o", out + ".geojson"],
     "analyze": lambda file, out: ["analyze", file, "--results", out],
 }

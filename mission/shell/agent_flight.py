@@ -102,6 +102,12 @@ def make_agent(mission: Mission, card: Card, options: Options) -> Agent:
     return Agent(mission.kernel, Talk(logs, seal, options.bytes_s))
 
 
+def head_of(card: Card, key: bytes) -> journals.Head:
+    """What an agent's journal says of itself."""
+    team = session_key(key, "journal").hex()[:12]
+    return journals.Head(card.robot, card.mission_hash, f"{card.version} {card.code}", team)
+
+
 def fly_agent(
     mission: Mission,
     setup: Setup,
@@ -134,7 +140,7 @@ def fly_agent(
 
         journal = journals.Journal(folder / journals.NAME)
         stack.enter_context(closing(journal))
-        journal.begin(card.robot, card.mission_hash)
+        journal.begin(head_of(card, options.key))
         common = Chronicle(
             agent.common.kernel, Safety(mission.safety), writer("common.mcap", {"common": True}, 0)
         )

@@ -10,7 +10,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 
 from fieldkit.engine.decentralised import packing
@@ -29,6 +29,18 @@ RESUME_WITHIN_S = 7_200.0
 """A journal that was left longer ago belongs to a mission that is over."""
 
 
+@dataclass(frozen=True, slots=True)
+class Head:
+    """Whose journal it is. What two journals have in common may be laid together."""
+
+    robot: str
+    mission_hash: str
+    made: str = ""
+    """Version and code that wrote it; empty in journals of before they said so."""
+    team: str = ""
+    """A hash of the mission's key, from which nobody learns the key."""
+
+
 @dataclass
 class Journal:
     """An open journal. `write` adds what is new in the logs."""
@@ -40,10 +52,10 @@ class Journal:
     _counts: dict[Key, int] = field(default_factory=dict)
     _closed: dict[Key, int] = field(default_factory=dict)
 
-    def begin(self, robot: str, mission_hash: str) -> None:
+    def begin(self, head: Head) -> None:
         """Start the file."""
         self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
-        self._add(HEADER, json.dumps([robot, mission_hash]).encode())
+        self._add(HEADER, json.dumps(astuple(head)).encode())
 
     def write(self, logs: Logs) -> None:
         """What has come to be known, then up to where logs are closed. With the operating system when this returns."""
@@ -84,9 +96,12 @@ class Journal:
             )
 
 
-def load(path: Path, logs: Logs) -> int:
-    """Take a journal into logs that have not begun; how many observations it held. A cut end is left out."""
-    count = 0
+def load(path: Path, logs: Logs) -> tuple[int, str]:
+    """Take a journal into logs that have not begun; how many observations it held, and what is damaged in words.
+
+    A cut end is left out.
+    """
+    count, damage = 0, ""
     try:
         for kind, data in _records(path):
             if kind == PART:
@@ -96,8 +111,37 @@ def load(path: Path, logs: Logs) -> int:
                     key = next(key for key in logs.closed if key == (robot, stream))
                     logs.closed[key] = max(logs.closed[key], int(tick))
     except (RecordingError, ValueError, StopIteration) as error:
-        logger.warning("%s: is damaged after %d observations: %s", path, count, error)
-    return count
+        damage = f"is damaged after {count} observations: {error}"
+        logger.warning("%s: %s", path, damage)
+    return count, damage
+
+
+def head_of(path: Path) -> Head:
+    """Whose journal it is. Raises `RecordingError` where it is none."""
+    try:
+        kind, data = next(_records(path), (END, b""))
+        values = json.loads(data) if kind == HEADER else None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError:
+        values = None
+    if (
+        not isinstance(values, list)
+        or not 2 <= len(values) <= 4
+        or not all(isinstance(v, str) for v in values)
+    ):
+        raise RecordingError(
+            f"{path}: expected an agent's {NAME}, got something else, or one cut at its beginning"
+        )
+    return Head(*values)
+
+
+def is_ended(path: Path) -> bool:
+    """Whether its agent came to its end; else it was killed, still runs, or the file is cut."""
+    last = END - 1
+    for kind, _ in _records(path):
+        last = kind
+    return last == END
 
 
 def interrupted(out: Path, robot: str, mission_hash: str, now_s: float) -> Path | None:
@@ -107,10 +151,11 @@ def interrupted(out: Path, robot: str, mission_hash: str, now_s: float) -> Path 
         written_s = path.stat().st_mtime
         if abs(now_s - written_s) > RESUME_WITHIN_S:
             continue
-        kinds = list(_records(path))
-        if not kinds or kinds[0] != (HEADER, json.dumps([robot, mission_hash]).encode()):
+        try:
+            head = head_of(path)
+        except RecordingError:
             continue
-        if kinds[-1][0] != END:
+        if (head.robot, head.mission_hash) == (robot, mission_hash) and not is_ended(path):
             found.append((written_s, path))
     return max(found)[1] if found else None
 

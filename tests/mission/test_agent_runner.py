@@ -28,7 +28,7 @@ from mission.lab.synthetic import small_mission
 from mission.replay.replay import replay
 from mission.safety.rules import Safety
 from mission.shell import journal as journals
-from mission.shell.agent_flight import Options, card_of, interrupted, make_agent, mission_hash
+from mission.shell.agent_flight import Options, card_of, head_of, interrupted, make_agent, mission_hash
 from mission.shell.agent_runner import AgentRunner, Crew
 from mission.shell.chronicle import Chronicle
 from mission.shell.hold_all import hold_all
@@ -69,7 +69,7 @@ class Robot:
                 for name, more in (("mission.mcap", {"agent": self.name}), ("common.mcap", {}))
             ]  # fmt: skip
             journal = stack.enter_context(contextlib.closing(journals.Journal(folder / journals.NAME)))
-            journal.begin(self.name, card.mission_hash)
+            journal.begin(head_of(card, KEY))
             common = Chronicle(agent.common.kernel, Safety(mission.safety), writers[1])
             agent.common.witness = common.step
             setup = Setup(clock, (self.radio,), (self.fleet,))
@@ -324,7 +324,7 @@ def test_a_journal_is_taken_up_only_by_its_robot_mission_and_in_time(tmp_path: P
     folder = tmp_path / "runs" / "one"
     folder.mkdir(parents=True)
     journal = journals.Journal(folder / journals.NAME)
-    journal.begin("r1", mine.mission_hash)
+    journal.begin(journals.Head("r1", mine.mission_hash))
     agent.step(Operator(START_NS, "hold", None, "stop"))
     journal.write(agent.logs)
     out = tmp_path / "runs"
@@ -333,7 +333,7 @@ def test_a_journal_is_taken_up_only_by_its_robot_mission_and_in_time(tmp_path: P
     assert interrupted(out, replace(mine, mission_hash="other")) is None
     assert interrupted(out, replace(mine, started_ns=mine.started_ns + 3 * 3600 * 10**9)) is None
     logs = Logs("r1", agent.logs.robots)
-    assert journals.load(journal.path, logs) == 1 and logs.entries == agent.logs.entries
+    assert journals.load(journal.path, logs) == (1, "") and logs.entries == agent.logs.entries
     journal.end()
     journal.close()
     assert interrupted(out, mine) is None
@@ -346,7 +346,7 @@ def test_a_disk_that_fails_is_said_once_and_the_agent_goes_on(
     mission = small_mission(tmp_path, robots=2)
     agent = make_agent(mission, card(mission), Options("r1", KEY, None, 1400.0))
     journal = journals.Journal(tmp_path / journals.NAME)
-    journal.begin("r1", "x")
+    journal.begin(journals.Head("r1", "x"))
     journal.close()
     journal._file = os.open("/dev/full", os.O_WRONLY)
     agent.step(Operator(START_NS, "hold"))

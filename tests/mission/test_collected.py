@@ -1,0 +1,197 @@
+"""Agents' journals laid together: what one computer would have recorded, whatever is missing or does not belong."""
+
+import asyncio
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from test_agent_runner import Robot, both, two
+from typer.testing import CliRunner
+
+from fieldkit.cli import build
+from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, Logs, Stream
+from fieldkit.engine.decentralised.packing import quantised
+from fieldkit.errors import DataError, RecordingError
+from fieldkit.messages import Operator, RssReading
+from fieldkit.recording.reader import open_recording
+from mission.analysis import refit as campaign
+from mission.replay.collect import collect, lay_together
+from mission.replay.command import Changes
+from mission.replay.replay import replay
+from mission.shell import journal as journals
+
+ROBOTS = ("r1", "r2")
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folders of two agents; r1's operator holds all and lets all go on."""
+
+    async def act(team: dict[str, Robot]) -> None:
+        flights = asyncio.create_task(both(team))
+        r1 = team["r1"]
+        for second in range(15):
+            await r1.clock.sleep(1.0)
+            for robot in team.values():
+                robot.radio.hear(-60.0)
+            if second in (6, 8) and r1.runner is not None:
+                r1.runner.put(Operator(r1.clock.now_ns(), "hold" if second == 6 else "resume", None, "look"))
+        await flights
+
+    folder = tmp_path_factory.mktemp("flown")
+    two(folder, act, duration_s=12.0)
+    return folder
+
+
+@pytest.fixture
+def runs(flown: Path, tmp_path: Path) -> Path:
+    """A copy to spoil."""
+    for name in ROBOTS:
+        shutil.copytree(flown / f"{name}-1", tmp_path / f"{name}-1")
+    return tmp_path
+
+
+def journal(runs: Path, name: str) -> Path:
+    return runs / f"{name}-1" / journals.NAME
+
+
+def test_two_journals_make_the_recording_that_one_computer_would_have_made(runs: Path) -> None:
+    out = runs / "collected.mcap"
+    done = collect(out, [runs])
+    assert done.notes == [] and done.refused == [] and done.compared == 2
+    assert done.given > 1.9 * done.observations > 50 and done.orders == 2
+    common = open_recording(runs / "r1-1" / "common.mcap")
+    again = replay(out)
+    assert again.complete and again.compared > 50
+    theirs, ours = list(common.events()), list(open_recording(out).events())
+    assert [event for _, _, event in theirs] == [event for _, _, event in ours][: len(theirs)]
+    assert campaign.refit([out], Changes(what_if=True)).kernel.detections >= again.kernel.detections > 5
+
+
+def test_what_a_lost_robot_observed_is_taken_from_the_others(runs: Path) -> None:
+    both_known = collect(runs / "all.mcap", [runs])
+    shutil.rmtree(runs / "r2-1")
+    done = collect(runs / "collected.mcap", [runs])
+    lost = both_known.observations - done.observations
+    assert 0 <= lost <= 2 and not done.robots["r2"]["own_journal"], "what r2 had no time to say"
+    assert any(note.startswith("r2: its own journal is not here; others knew") for note in done.notes)
+    assert done.belief_hash == both_known.belief_hash
+    said = [note.text for _, note in open_recording(runs / "collected.mcap").notes()]
+    assert done.notes[0] in said
+
+
+def cut(runs: Path) -> None:
+    path = journal(runs, "r2")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def lost(runs: Path) -> None:
+    path = journal(runs, "r2")
+    path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (cut, "r2: its agent did not come to its end, still runs, or its journal is cut"),
+        (lost, "r2: its own journal is not here"),
+    ],
+)
+def test_what_is_missing_is_said(runs: Path, spoil: Callable[[Path], None], words: str) -> None:
+    spoil(runs)
+    done = collect(runs / "collected.mcap", [runs])
+    assert any(words in note for note in done.notes) and replay(runs / "collected.mcap").complete
+
+
+def rewritten(runs: Path, name: str, **changed: str) -> None:
+    """A journal with another head."""
+    path = journal(runs, name)
+    head = journals.head_of(path)
+    values = {"robot": head.robot, "mission_hash": head.mission_hash, "made": head.made, "team": head.team}
+    old, new = (json.dumps(list(each.values())).encode() for each in (values, values | changed))
+    other = journals.Journal(path.with_name("other"))
+    other.begin(journals.Head(**(values | changed)))
+    other.close()
+    first = len(path.with_name("other").read_bytes()) - len(new) + len(old)
+    rest = path.read_bytes()[first:]
+    path.write_bytes(path.with_name("other").read_bytes() + rest)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"mission_hash": "0" * 12}, "another mission or antenna file (000000000000; the first with"),
+        ({"team": "ff" * 6}, "another mission key"),
+        ({"made": "9.9.9 abc"}, "another fieldkit (9.9.9 abc; the first with"),
+        ({"robot": "r9"}, "it is of 'r9', which is not in the mission (r1, r2)"),
+    ],
+)
+def test_what_does_not_belong_is_named_and_left_out(runs: Path, changed: dict[str, str], words: str) -> None:
+    rewritten(runs, "r2", **changed)
+    done = collect(runs / "collected.mcap", [runs])
+    (refused,) = done.refused
+    assert words in refused and len(done.journals) == 1 and done.observations > 20
+
+
+def test_the_same_journal_given_twice_is_one(runs: Path) -> None:
+    done = collect(
+        runs / "c.mcap", [runs / "r1-1", runs / "r1-1" / "mission.mcap", journal(runs, "r1"), runs]
+    )
+    assert len(done.journals) == 2
+
+
+def test_a_place_without_a_journal_is_named(runs: Path) -> None:
+    (runs / "empty").mkdir()
+    with pytest.raises(DataError, match="there is no such file or folder"):
+        collect(runs / "c.mcap", [runs / "nowhere"])
+    with pytest.raises(DataError, match=r"no agent's observations\.log is there"):
+        collect(runs / "c.mcap", [runs / "empty"])
+    noise = runs / "noise.log"
+    noise.write_bytes(bytes(500))
+    done = collect(runs / "c.mcap", [noise, runs])
+    assert "expected an agent's observations.log" in done.refused[0] and len(done.journals) == 2
+    with pytest.raises(RecordingError, match="never overwritten"):
+        collect(runs / "c.mcap", [runs])
+
+
+def test_the_command_says_what_it_did_and_reports_what_it_left_out(runs: Path) -> None:
+    runner, out = CliRunner(), runs / "collected.mcap"
+    done = runner.invoke(build(), ["collect", str(out), str(runs)])
+    assert done.exit_code == 0 and "2 operator's orders" in done.output and out.is_file()
+    other = runner.invoke(build(), ["collect", str(runs / "d"), str(runs), str(runs / "nowhere"), "--json"])
+    assert other.exit_code == 2 and (runs / "d" / "mission.mcap").is_file()
+    assert runner.invoke(build(), ["report", str(out), "-o", str(runs / "report.html")]).exit_code == 0
+    assert runner.invoke(build(), ["analyze", str(runs / "d")]).exit_code == 0
+
+
+# -- laying together -------------------------------------------------------------------------------------------
+
+
+def heard(me: str, *levels_dbm: float) -> Logs:
+    """Logs in which r2 has heard these levels, a second apart."""
+    logs = Logs("r2", ROBOTS)
+    for second, level in enumerate(levels_dbm):
+        now_ns = 10**18 + second * 10**9
+        logs.append(quantised(RssReading(now_ns // STEP_NS * STEP_NS, "r2", level)), now_ns)
+    logs.close(10**18 + len(levels_dbm) * 10**9)
+    logs.me = me
+    return logs
+
+
+def levels(logs: Logs) -> list[float]:
+    return [entry.event.rss_dbm for entry in logs.entries["r2", Stream.HEARD]]  # type: ignore[union-attr]
+
+
+def test_the_longest_of_logs_that_agree_is_taken() -> None:
+    whole, words = lay_together([heard("r1", -50), heard("r2", -50, -51, -52), heard("r2", -50, -51)], ROBOTS)
+    assert words == [] and levels(whole) == [-50.0, -51.0, -52.0]
+    assert whole.closed["r1", Stream.HEARD] == NEVER
+
+
+def test_of_logs_that_contradict_the_one_is_taken_that_more_have() -> None:
+    whole, words = lay_together([heard("r1", -50), heard("r2", -70, -71, -72), heard("r1", -50, -51)], ROBOTS)
+    assert levels(whole) == [-50.0, -51.0]
+    (said,) = words
+    assert "r2's log of heard is another one in the journal of r2: were there two agents for r2?" in said
