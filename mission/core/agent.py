@@ -67,7 +67,7 @@ class Agent:
     unloggable: int = 0
     """Observations of its own that hold no numbers."""
     unlogged: list[Operator] = field(default_factory=list)
-    """Orders of a computer that has no log: whoever obeys one logs it as its own."""
+    """Orders of a computer that has no log: whoever obeys one logs it, so that all learn of it who meet it."""
     fresh: list[Event] = field(default_factory=list)
     """What has come to be known of others since the last tick, as it came."""
     patience_s: float = AGENT_WAIT_S
@@ -115,7 +115,7 @@ class Agent:
             return []
         if not said.robot and said.order is not None:
             if self._is_new(said.order):
-                self.unlogged.append(replace(said.order, robot=self.me))
+                self.unlogged.append(said.order)
             return []
         orders = [] if said.order is None else [said.order]
         for entry in said.new:

@@ -20,7 +20,7 @@ async def hold_all(
 ) -> dict[str, str]:
     """Robot to "holds", "has not shown it" or "is not heard". Returns as soon as all hold.
 
-    An agent that obeys logs that as its own robot's, so that others, and robots out of reach, learn of it from it.
+    An agent that obeys logs the order, so that robots out of reach learn of it from that one: one is enough.
     """
     talk = Talk(Logs(robots[0], robots), Seal(session_key(key, card.common), OPERATOR))
     order = quantised(Operator(clock.now_ns(), "hold", None, "HOLD ALL from the operator's computer"))
