@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from fieldkit import settings as given
-from fieldkit.engine.decentralised.logs import Logs
+from fieldkit.engine.decentralised.logs import Logs, Part
 from fieldkit.engine.decentralised.sealing import STAMP_EPOCH_NS, Seal, session_key
 from fieldkit.engine.decentralised.talk import Talk
 from fieldkit.geometry.segments import Segment, ever_m, standing
@@ -29,6 +29,8 @@ from mission.safety.limits import SafetySettings
 START_NS = STAMP_EPOCH_NS + 10**18
 """When simulated time begins: clocks of before 2015 seal nothing."""
 KEY = bytes(range(32))
+LISTENS_S = 3.0
+"""An agent that was started again listens for so long before anything of its own is logged."""
 LOOK_S = 10.0
 """Time between looks at all agents' beliefs."""
 
@@ -81,29 +83,37 @@ class Flock:
         self.world = SimulatedWorld(robots, truth, seed, given.TICK_S, kernel.altitude_m, grid.size_east_m)
         self.network = Network(air, np.random.default_rng([seed, 0xA6E]))
         self.clock_s = dict(zip(robots, clock_s or (0.0,) * len(robots), strict=True))
-        key = session_key(KEY, "flock")
-        self.agents = {
-            name: Agent(kernel, Talk(Logs(name, robots), Seal(key, number), bytes_s))
-            for number, name in enumerate(robots)
-        }
+        self.key, self.bytes_s, self.contact_m = session_key(KEY, "flock"), bytes_s, contact_m
+        self.agents = {name: self._agent(Logs(name, robots)) for name in robots}
         self.safety = {name: SafetyApart(safety, me=name, contact_m=contact_m) for name in robots}
         self.ended: dict[str, str] = {}
         self.lost: set[str] = set()
         """Robots whose agent has died; they stand."""
+        self._listens_until_s: dict[str, float] = {}
+        """Agents that were started again listen first."""
         self.seen: list[tuple[int, str, str]] = []
         """Looks at common lines: tick, robot, digest."""
         self.ordered_too_near = 0
         self._ordered: list[GoTo] = []
         """At this tick."""
 
-    def _now_ns(self, name: str) -> int:
+    def _agent(self, logs: Logs) -> Agent:
+        number = self.settings.engine.robots.index(logs.me)
+        return Agent(self.settings, Talk(logs, Seal(self.key, number), self.bytes_s))
+
+    def now_ns(self, name: str) -> int:
+        """The time by a robot's clock."""
         return START_NS + round((self.world.t_s + self.clock_s[name]) * 1e9)
+
+    def begin(self) -> None:
+        """Every vehicle says that it is there."""
+        for name in self.agents:
+            self._observe(name, VehicleState(0, name, "guided", True))
 
     def fly(self, most_s: float) -> Flown:
         """To the end of everybody's mission, or for `most_s`."""
         covered: dict[int, float] = {}
-        for name in self.agents:
-            self._observe(name, VehicleState(0, name, "guided", True))
+        self.begin()
         oldest, nearest_m, merged_s = 0, math.inf, None
         while len(self.ended.keys() | self.lost) < len(self.agents) and self.world.t_s < most_s:
             self.step()
@@ -123,7 +133,7 @@ class Flock:
             self.world.t_s,
             max(covered.values(), default=0.0) if done else None,
             max(count_false(agent.line.kernel, self.truth) for agent in living),
-            self._is_same(),
+            self.agrees(),
             len(self.seen),
             {name: sent / max(self.world.t_s, 1e-9) for name, sent in self.network.carried.items()},
             oldest * given.TICK_S,
@@ -137,7 +147,7 @@ class Flock:
         """One tick of everybody."""
         for name, data in self.network.arrived(self.world.t_s):
             if name not in self.lost:
-                self._hear(name, data)
+                self.hear(name, data)
         for event in self.world.events():
             if not isinstance(event, Tick | Operator) and event.robot not in self.lost:
                 self._observe(event.robot, event)
@@ -145,10 +155,10 @@ class Flock:
         for name, agent in self.agents.items():
             if name in self.lost:
                 continue
-            if name not in self.ended:
+            if name not in self.ended and self.world.t_s >= self._listens_until_s.get(name, 0.0):
                 self._tick(name, agent)
             safety = self.safety[name]
-            for message in agent.messages(self._now_ns(name), safety.way, safety.ways):
+            for message in agent.messages(self.now_ns(name), safety.way, safety.ways):
                 self.network.send(self.world.t_s, name, message, places_m)
         self._count_too_near()
         if round(self.world.t_s / given.TICK_S) % round(LOOK_S / given.TICK_S) == 0:
@@ -160,9 +170,26 @@ class Flock:
         self.lost.add(name)
         self.world.rovers[name].stop()
 
+    def revive(self, name: str, *, with_journal: bool) -> None:
+        """Its agent is started again: with its journal, or without one and so with an empty log."""
+        robots, before = self.settings.engine.robots, self.agents[name].logs
+        logs = Logs(name, robots)
+        if with_journal:
+            for key, log in before.entries.items():
+                logs.take(Part(*key, 0, tuple(log)))
+            logs.closed = dict(before.closed)
+        self.agents[name] = self._agent(logs)
+        self.safety[name] = safety = SafetyApart(self.limits, me=name, contact_m=self.contact_m)
+        orders = [e for log in logs.entries.values() for e in log if isinstance(e.event, Operator)]
+        for entry in sorted(orders, key=lambda entry: entry.order_ns):
+            safety.observe(entry.event)
+        self.lost.discard(name)
+        self._listens_until_s[name] = self.world.t_s + LISTENS_S
+        self._observe(name, VehicleState(round(self.world.t_s * 1e9), name, "guided", True))
+
     def order(self, name: str, action: str, robot: str | None = None) -> None:
         """An operator at one robot's agent."""
-        agent, now_ns = self.agents[name], self._now_ns(name)
+        agent, now_ns = self.agents[name], self.now_ns(name)
         order = Operator(now_ns, action, robot, "operator")  # type: ignore[arg-type]  # a test's own words
         agent.step(order)
         for command in self.safety[name].observe(order):
@@ -170,9 +197,10 @@ class Flock:
         places_m = {each: (rover.east_m, rover.north_m) for each, rover in self.world.rovers.items()}
         self.network.send(self.world.t_s, name, agent.talk.order(order, now_ns), places_m)
 
-    def _hear(self, name: str, data: bytes) -> None:
+    def hear(self, name: str, data: bytes) -> None:
+        """A message has come to a robot's agent."""
         agent = self.agents[name]
-        for order in agent.take(data, self._now_ns(name)):
+        for order in agent.take(data, self.now_ns(name)):
             for command in self.safety[name].observe(order):
                 self._obey(name, command)
         for order in agent.unlogged:
@@ -188,12 +216,12 @@ class Flock:
 
     def _observe(self, name: str, event: Event) -> None:
         """What a robot's own devices say, by its own clock."""
-        own = replace(event, t_ns=event.t_ns + self._now_ns(name) - round(self.world.t_s * 1e9))
+        own = replace(event, t_ns=event.t_ns + self.now_ns(name) - round(self.world.t_s * 1e9))
         self.agents[name].step(own)
         self.safety[name].observe(own)
 
     def _tick(self, name: str, agent: Agent) -> None:
-        tick = Tick(self._now_ns(name))
+        tick = Tick(self.now_ns(name))
         safety = self.safety[name]
         outcome = agent.step(tick)
         for command in (*safety.observe(tick), *safety.judge(outcome.commands)):
@@ -229,7 +257,7 @@ class Flock:
         return (
             0
             if agent.common.horizon < 0
-            else self._now_ns(name) // round(given.TICK_S * 1e9) - agent.common.horizon
+            else self.now_ns(name) // round(given.TICK_S * 1e9) - agent.common.horizon
         )
 
     def _nearest_m(self) -> float:
@@ -241,7 +269,7 @@ class Flock:
             if name not in self.lost and agent.common.horizon >= 0:
                 self.seen.append((agent.common.horizon, name, agent.common.kernel.digest()))
 
-    def _is_same(self) -> bool:
+    def agrees(self) -> bool:
         """Whether every belief seen is that of one computer with everybody's own logs."""
         whole = Logs("", ("", *self.agents))
         for name, agent in self.agents.items():

@@ -1,10 +1,11 @@
 """The study of agents, in short: the rows it makes, and what it makes of rows."""
 
+import math
 from typing import Any
 
 import pytest
 
-from mission.lab.study import agents
+from mission.lab.study import agents, killed
 from mission.lab.study.agents import CENTRAL, SCENARIOS, Job, summarise, trial
 
 
@@ -42,6 +43,37 @@ def test_times_are_compared_on_the_seeds_on_which_both_found_all(monkeypatch: py
     assert told["full contact"]["times_central"] == 1.1 and told["full contact"]["found_all"] == 2
     assert told["full contact"]["same_belief"] and told["full contact"]["merged_within_s"] == 4.0
     assert summarise([row(0, None)])["mean_time_s"] is None
+
+
+@pytest.mark.parametrize(
+    "kill",
+    [
+        killed.Kill("r1", 10.0, 14.0, keeps_journal=False),
+        killed.Kill("r1", 10.0, math.inf, keeps_journal=True),
+        killed.Kill(killed.LAPTOP, 10.0, math.inf, keeps_journal=True),
+    ],
+    ids=["back without its journal", "for good", "the laptop"],
+)
+def test_the_others_go_on_whoever_is_killed(monkeypatch: pytest.MonkeyPatch, kill: killed.Kill) -> None:
+    monkeypatch.setattr(killed, "drawn", lambda seed: kill)
+    monkeypatch.setattr(killed, "AFTER_S", 25.0)
+    row = trial(Job(scenario("killed"), 3))
+    assert row["goes_on"] and row["holds"] and row["same"] and row["compared"] >= 12
+    assert row["unknown_to_others"] == 0
+    told = summarise([row, row])
+    assert told["trials"] == told["others_go_on"] == told["robot_holds"] == 2 and told["same_belief"]
+    if kill.victim == killed.LAPTOP:
+        assert 0.0 < told["all_held_within_s"] < 10.0 and told["laptop_killed"] == 2
+    elif row["back"]:
+        assert told["rejoined"] == told["came_back"] == told["without_journal"] == 2
+        assert told["rejoined_within_s"] < 20.0
+
+
+def test_victims_and_times_are_drawn_over_all() -> None:
+    kills = [killed.drawn(seed) for seed in range(200)]
+    assert {kill.victim for kill in kills} == {*killed.NAMES, killed.LAPTOP}
+    back = sum(math.isfinite(kill.away_s) for kill in kills)
+    assert 70 < back < 130 and all(killed.EARLIEST_S <= kill.at_s <= killed.LATEST_S for kill in kills)
 
 
 def test_every_scenario_has_a_name_of_its_own() -> None:

@@ -86,7 +86,7 @@ def test_a_network_in_two_goes_on_as_two_and_becomes_one_again() -> None:
     assert r1.line.members == ("r1", "r2") and r3.line.members == ("r3", "r4")
     assert r1.line.kernel.digest() == r2.line.kernel.digest(), "those in contact agree"
     assert r1.line.horizon > r1.common.horizon + 60
-    age = r1.ages_s(team._now_ns("r1"))
+    age = r1.ages_s(team.now_ns("r1"))
     assert age["r2"] < 2.0 and 40.0 < age["r3"] < 60.0
     go_on(team, 25.0)
     assert all(agent.line is agent.common for agent in team.agents.values())
@@ -98,7 +98,7 @@ def test_the_others_go_on_when_an_agent_dies() -> None:
     team.kill("r4")
     go_on(team, AGENT_ABSENT_S + 8.0)
     r1 = team.agents["r1"]
-    assert r1.line.members == ("r1", "r2", "r3") and r1.ages_s(team._now_ns("r1"))["r4"] > AGENT_ABSENT_S
+    assert r1.line.members == ("r1", "r2", "r3") and r1.ages_s(team.now_ns("r1"))["r4"] > AGENT_ABSENT_S
     before = {name: (rover.east_m, rover.north_m) for name, rover in team.world.rovers.items()}
     go_on(team, 15.0)
     moved = {n: math.dist(before[n], (r.east_m, r.north_m)) for n, r in team.world.rovers.items()}
@@ -177,7 +177,7 @@ def test_a_copy_of_a_kernel_goes_its_own_way() -> None:
     kernel = team.agents["r1"].common.kernel
     twin, state = kernel.copy(), (kernel.digest(), kernel.commands_digest())
     assert (twin.digest(), twin.commands_digest()) == state
-    now_ns = team._now_ns("r1")
+    now_ns = team.now_ns("r1")
     steps: list[Event] = []
     for k in range(80):  # so much is heard that the belief has to make room for it
         t_ns = now_ns + k * TICK_NS

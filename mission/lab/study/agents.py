@@ -17,6 +17,7 @@ from fieldkit.world.sources import TransientSource, random_sources
 from mission.core.kernel_settings import KernelSettings
 from mission.lab.flock import Flock
 from mission.lab.simulate import Truth, simulate
+from mission.lab.study import killed
 from mission.lab.study.pool import Progress
 from mission.lab.study.scenarios import run_scenarios
 from mission.lab.study.trust import CELL_M, LEVELS_DB, RATE_HZ, antenna
@@ -43,6 +44,8 @@ class Scenario:
     clock_s: tuple[float, ...] = ()
     killed_s: float = math.inf
     """When the agent of the last robot dies."""
+    kills: bool = False
+    """Short trials of `mission.lab.study.killed` instead: somebody dies at any time, and half come back."""
 
 
 HALVES = frozenset(ROBOTS[:2])
@@ -59,6 +62,7 @@ SCENARIOS = (
     ),
     Scenario("clocks 2 s apart", clock_s=(0.0, 2.0, -2.0, 0.5)),
     Scenario("one agent dies after 100 s", killed_s=100.0),
+    Scenario("killed", kills=True),
 )
 
 
@@ -100,6 +104,8 @@ def hidden(seed: int) -> tuple[TransientSource, ...]:
 
 def trial(job: Job) -> dict[str, Any]:
     """One mission of a scenario."""
+    if job.scenario.kills:
+        return killed.trial(job.seed)
     kernel, scenario = kernel_settings(job.seed, job.most_s), job.scenario
     truth = Truth(antenna(), hidden(job.seed), STARTS_M, max_speed_m_s=kernel.engine.max_speed_m_s)
     safety = safety_settings(kernel)
@@ -138,6 +144,8 @@ def trial(job: Job) -> dict[str, Any]:
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """The figures of one scenario; times count only missions that found all."""
+    if "victim" in rows[0]:
+        return killed.summarise(rows)
     times = np.array([row["time_s"] for row in rows if row["time_s"] is not None])
     told: dict[str, Any] = {
         "trials": len(rows),
@@ -170,7 +178,7 @@ def run(
     )  # fmt: skip
     told = result["scenarios"]
     if CENTRAL in told:
-        for row in told.values():
+        for row in (each for each in told.values() if "times_s" in each):
             row["times_central"] = _against(row["times_s"], told[CENTRAL]["times_s"])
     return result
 
