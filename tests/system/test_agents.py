@@ -166,7 +166,7 @@ def test_two_agents_search_hold_together_and_one_that_is_killed_comes_back(
         for agent in (r1, r2):
             if agent.process.poll() is None:
                 agent.process.kill()
-    assert "interrupted (SIGINT)" in str(first["end_reason"]) and not first["dropped"]["strangers"]  # type: ignore[index]
+    assert "stopped by Ctrl-C" in str(first["end_reason"]) and not first["dropped"]["strangers"]  # type: ignore[index]
     for agent in (r1, r2):
         own, common = open_recording(agent.log / "mission.mcap"), agent.log / "common.mcap"
         assert own.complete and own.metadata["agent"] == agent.name
