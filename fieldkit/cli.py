@@ -10,6 +10,7 @@ import typer
 
 from fieldkit import __version__, console, plugins
 from fieldkit.errors import ConfigError, FieldkitError
+from fieldkit.interrupts import keep_interrupts
 
 HELP = """Find unknown, short-lived radio transmitters with a team of small robots.
 
@@ -85,6 +86,7 @@ def main() -> None:
     """Run the command line; errors made on purpose are printed plainly, with their exit code."""
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
+    keep_interrupts()
     try:
         build()()
     except FieldkitError as error:

@@ -121,3 +121,40 @@ def test_the_folder_of_a_run_stands_for_its_recording(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "mission.mcap") as writer:
         writer.note("info", "here")
     assert open_recording(tmp_path).path == tmp_path / "mission.mcap"
+
+
+LOSES_IT = """
+import signal, sys, time
+from fieldkit.interrupts import keep_interrupts
+
+class Library:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+        sum(range(1000))  # where Python notices it
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+if sys.argv[1] == "kept":
+    keep_interrupts()
+Library()
+time.sleep(1.0)
+print("went on")
+"""
+
+
+@pytest.mark.parametrize(("kept", "went_on"), [("lost", True), ("kept", False)])
+def test_a_ctrl_c_in_a_librarys_finaliser_is_not_lost(kept: str, went_on: bool) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LOSES_IT, kept], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert ("went on" in done.stdout) is went_on, "without the hook Python ignores it"
+    assert (done.returncode != 0) is not went_on and ("KeyboardInterrupt" in done.stderr)
+
+
+def test_what_else_cannot_be_raised_is_printed_as_ever() -> None:
+    lost = (
+        "from fieldkit.interrupts import keep_interrupts as k; k()\nclass A:\n def __del__(self): 1 / 0\nA()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", lost], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0 and "ZeroDivisionError" in done.stderr
