@@ -28,14 +28,15 @@ KEPT_BY_LIBRARIES = (
     "IO loop",
 )
 """Beginnings of the names of threads that libraries keep in pools for their next use."""
-FLIGHTS = tuple(
+LONG = tuple(
     f"test_{name}"
     for name in (
         "campaign_of_missions", "campaigns", "commands", "compare_beliefs", "fault_study", "pairs_apart", "placed",
         "reality_study", "refit", "replay", "report", "resume", "study_command", "systems", "walk", "what_if",
+        "flock", "agents_study", "heights", "anything", "patterns", "odd_files", "odd_arguments", "damage",
     )
 )  # fmt: skip
-"""Tests that fly whole missions. What of core and safety they reach, others reach too."""
+"""Tests that fly whole missions, or do one thing hundreds of times. What they reach, others reach too."""
 WHOLE = ("browser", "system", "consumer", "contract")
 """Folders of tests that run the commands, mostly in processes of their own."""
 ENDING_S = 5.0
@@ -83,7 +84,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if os.environ.get("FIELDKIT_COVERAGE") == "all":
         return
     for item in items:
-        if item.path.parent.name in WHOLE or item.path.stem in FLIGHTS:
+        if item.path.parent.name in WHOLE or item.path.stem in LONG:
             item.add_marker(pytest.mark.no_cover)
 
 
