@@ -76,7 +76,7 @@ class Flock:
         clock_s: tuple[float, ...] = (),
         bytes_s: float = given.AGENT_BYTES_S.default,
     ) -> None:
-        """`clock_s`: how far each robot's clock is ahead; none: all are right."""
+        """`clock_s`: how far each robot's clock is ahead at first; none: all are right."""
         robots = kernel.engine.robots
         self.settings, self.limits, self.truth, self.air = kernel, safety, truth, air
         grid = kernel.engine.grid
@@ -158,6 +158,9 @@ class Flock:
             if name not in self.ended and self.world.t_s >= self._listens_until_s.get(name, 0.0):
                 self._tick(name, agent)
             safety = self.safety[name]
+            if (off := agent.talk.clock_off(self.now_ns(name))) is not None:
+                self.clock_s[name] -= off[1]
+                agent.talk.clock_set_back(self.now_ns(name), off[1])
             for message in agent.messages(self.now_ns(name), safety.way, safety.ways):
                 self.network.send(self.world.t_s, name, message, places_m)
         self._count_too_near()

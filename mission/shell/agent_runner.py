@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from fieldkit.clock import RealClock
 from fieldkit.engine.decentralised.card import MARK, Card, is_second, read_card, refusal
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.errors import ConfigError, RecordingError
@@ -68,6 +69,8 @@ class AgentRunner(Runner):
         self._ages_s: dict[str, float] = {}
         """How old what was known of each other robot was at the last tick."""
         self._card_s = -math.inf
+        self._clock_off = ""
+        """What was last said of this computer's clock."""
         self.strangers = 0
         """Cards that were signed with another key."""
         super().__post_init__()
@@ -184,6 +187,7 @@ class AgentRunner(Runner):
 
     def _speak(self) -> None:
         """What is new goes to the journal, and then to the others."""
+        self._mind_clock()
         crew, now_ns = self.crew, self.setup.clock.now_ns()
         crew.journal.write(crew.agent.logs)
         for message in crew.agent.messages(now_ns, self._apart.way, dict(self._apart.ways)):
@@ -199,6 +203,22 @@ class AgentRunner(Runner):
                 f"the others know more of {self.me} than its own journal, so its log cannot be gone on with: start its "
                 "agent anew while others are in reach, and it gets its log back from them"
             )
+
+    def _mind_clock(self) -> None:
+        """Go by the clock of the first robot in reach: by another's, nobody's positions are as old as they seem."""
+        clock, talk = self.setup.clock, self.crew.agent.talk
+        if (off := talk.clock_off(clock.now_ns())) is None:
+            self._clock_off = ""
+            return
+        first, ahead_s = off
+        apart = f"this computer's clock is {abs(ahead_s):.2f} s {'ahead of' if ahead_s > 0 else 'behind'} {first}'s"
+        if isinstance(clock, RealClock):
+            clock.set_back(ahead_s)
+            talk.clock_set_back(clock.now_ns(), ahead_s)
+            self._say(f"{apart}: that is taken off for this mission; set the clocks (chrony, GNSS)")
+        elif not self._clock_off:
+            self._say(f"{apart}: set the clocks")
+        self._clock_off = apart
 
     def _mind_contact(self) -> None:
         """Say who has gone out of contact, and who has come back."""

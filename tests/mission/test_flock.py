@@ -120,6 +120,22 @@ def test_a_hold_for_all_reaches_those_in_reach_at_once_and_the_others_when_they_
     assert any(agent.target is not None for agent in team.agents.values())
 
 
+def test_clocks_that_are_apart_are_measured_and_taken_off() -> None:
+    team = Flock(
+        settings(), SAFETY, flock().truth, Air(loss=0.1), 1, contact_m=5.0, clock_s=(0.0, 2.0, -3.0, 20.0)
+    )
+    go_on(team, 60.0)
+    assert all(abs(ahead_s) <= 0.1 for ahead_s in team.clock_s.values()), team.clock_s
+    assert all(agent.line is agent.common for agent in team.agents.values()) and team.agrees()
+
+
+def test_a_clock_is_left_as_it_is_where_the_delay_may_be_all_of_it() -> None:
+    team = go_on(flock(Air(delay_s=4.0), contact_m=5.0), 1.0)
+    team.clock_s["r3"] = 1.5
+    go_on(team, 30.0)
+    assert team.clock_s["r3"] == 1.5
+
+
 def test_the_mission_is_over_for_all_at_once() -> None:
     flown = flock(max_duration_s=20.0).fly(60.0)
     assert 20.0 <= flown.elapsed_s < 25.0

@@ -38,6 +38,12 @@ SAID_AGAIN = 6
 """Ticks at which an order is said once more: with a third of all messages lost, one in two thousand is then missed."""
 BURST_S = 2.0
 """What was not used of the budget is kept for so long."""
+LAGS = 6
+"""Tables by which a clock is measured."""
+CLOCKS_AGREE_S = 0.1
+"""Clocks that are less apart are left as they are: readings of one transmission are joined over more."""
+CLOCKS_SETTLE_S = 20.0
+"""After a clock was set, others' measures of it are of the old one for so long."""
 SLOW_S, SLOW_TIMES = 2.5, 3
 """Where a round trip takes longer, what is lost would be missed for long: what is new is said at so many ticks."""
 
@@ -60,8 +66,10 @@ class Peer:
     """The number of the last way of ours that it knows."""
     obeyed: int = -1
     """The code of the last order that it has obeyed; -1: none."""
-    ahead_s: float = 0.0
-    """How far its clock is ahead of ours, the time on the way left out of account."""
+    lags_s: deque[float] = field(default_factory=lambda: deque(maxlen=LAGS))
+    """Of its last tables: when they came by our clock, less when they left by its own."""
+    told_lag_s: float | None = None
+    """The least such lag of ours at it, as it last said."""
     round_trips_s: deque[float] = field(default_factory=lambda: deque([ROUND_TRIP_S], maxlen=8))
     sent: dict[Key, int] = field(default_factory=dict)
     """Up to which entry each log was sent again to it."""
@@ -71,6 +79,11 @@ class Peer:
     @property
     def round_trip_s(self) -> float:
         return min(self.round_trips_s)
+
+    @property
+    def lag_s(self) -> float | None:
+        """The least of its lags: delay, less what its clock is ahead of ours."""
+        return min(self.lags_s, default=None)
 
     def said(self, key: Key, count: int, now_ns: int) -> None:
         """It has so many entries of a log."""
@@ -120,6 +133,8 @@ class Talk:
     _told_before: deque[dict[Key, int]] = field(default_factory=lambda: deque(maxlen=SLOW_TIMES))
     """The same before each of the last ticks."""
     _left: float = 0.0
+    _clock_set_ns: int = 0
+    """Until then others' measures of our clock are of the one before it was set."""
     _orders: list[tuple[int, Operator]] = field(default_factory=list)
 
     # -- in ------------------------------------------------------------------------------------------------
@@ -135,7 +150,9 @@ class Talk:
             return self._from_operator(opened)
         name = robots[opened.sender]
         peer = self.peers.setdefault(name, Peer(now_ns))
-        peer.heard_ns, peer.ahead_s = now_ns, (opened.sent_ns - now_ns) * 1e-9
+        peer.heard_ns = now_ns
+        if opened.kind == STATE:
+            peer.lags_s.append((now_ns - opened.sent_ns) * 1e-9)
         reader = packing.Reader(opened.body)
         try:
             tick = reader.uint()
@@ -168,10 +185,11 @@ class Talk:
         hears = tuple(robot for number, robot in enumerate(robots) if bits >> number & 1)
         way = read_way(reader, tick)
         known = {robot: NO_WAY if (age := reader.uint()) == 0 else tick - age + 1 for robot in robots}
+        lags_s = dict(zip(robots, (_read_lag(reader) for _ in robots), strict=True))
         obeyed = reader.uint() - 1
         if sent_ns > peer.said_ns:
             peer.said_ns, peer.hears, peer.way, peer.obeyed = sent_ns, hears, way, obeyed
-            peer.knows = known.get(self.logs.me, NO_WAY)
+            peer.knows, peer.told_lag_s = known.get(self.logs.me, NO_WAY), lags_s.get(self.logs.me)
         return {key: (reader.uint(), tick - reader.sint()) for key in self.logs.keys(robots)}
 
     def _learn(self, peer: Peer, table: dict[Key, tuple[int, int]], now_ns: int) -> None:
@@ -221,6 +239,34 @@ class Talk:
         """Members that are heard."""
         return [name for name, peer in self.peers.items() if (now_ns - peer.heard_ns) * 1e-9 <= HEARS_S]
 
+    def clock_off(self, now_ns: int) -> tuple[str, float] | None:
+        """Whose clock is to be followed, and by how many seconds ours is ahead of it; None where nothing is to be done.
+
+        All in range follow the first of them by the mission's order. Half the difference of the lags of both ways is
+        the difference of the clocks, if both ways take as long; what the delays may hide is left as it is.
+        """
+        in_range = self.in_range(now_ns)
+        first = next((robot for robot in self.logs.robots if robot in in_range or robot == self.logs.me), "")
+        peer = self.peers.get(first)
+        if peer is None or first == self.logs.me or now_ns < self._clock_set_ns:
+            return None
+        if peer.told_lag_s is None or peer.lag_s is None or len(peer.lags_s) < LAGS:
+            return None
+        ahead_s = 0.5 * (peer.lag_s - peer.told_lag_s)
+        hidden_s = 0.5 * abs(peer.lag_s + peer.told_lag_s)
+        return (first, ahead_s) if abs(ahead_s) > max(CLOCKS_AGREE_S, hidden_s) else None
+
+    def clock_set_back(self, now_ns: int, by_s: float) -> None:
+        """Our clock has been set to `now_ns`: what was measured by it before is void.
+
+        Stamps only grow: set back, they say too much for so long.
+        """
+        self._clock_set_ns = now_ns + round((CLOCKS_SETTLE_S + max(0.0, by_s)) * 1e9)
+        for peer in self.peers.values():
+            peer.heard_ns -= round(by_s * 1e9)
+            peer.lags_s.clear()
+            peer.told_lag_s = None
+
     def say_order(self, order: Operator, now_ns: int) -> bytes:
         """An order as it leaves, once."""
         out = packing.Bytes()
@@ -240,6 +286,8 @@ class Talk:
         for robot in logs.robots:
             # A number from the future is of a clock far ahead, and is confirmed once it has come.
             out.uint(max(0, tick + 1 - known[robot].number) if robot in known else 0)
+        for robot in logs.robots:
+            _write_lag(out, self.peers[robot].lag_s if robot in heard else None)
         out.uint(self.obeyed + 1)
         for key in logs.keys(logs.robots):
             out.uint(len(logs.entries[key]))
@@ -329,6 +377,17 @@ class Talk:
 def code_of(order: Operator) -> int:
     """What an order is acknowledged by."""
     return order.t_ns // STEP_NS % CODES
+
+
+def _write_lag(out: packing.Bytes, lag_s: float | None) -> None:
+    """A lag to the millisecond; 0: none."""
+    lag_ms = -1 if lag_s is None else round(lag_s * packing.MM)
+    out.sint(0 if lag_s is None else lag_ms + (lag_ms >= 0))
+
+
+def _read_lag(reader: packing.Reader) -> float | None:
+    lag_ms = reader.sint()
+    return None if lag_ms == 0 else (lag_ms - (lag_ms > 0)) / packing.MM
 
 
 def _read_order(reader: packing.Reader) -> Operator:
