@@ -116,12 +116,16 @@ def _small_demo(
 
 def bench(
     name: Annotated[str, typer.Argument(help="Which benchmark, or all.")] = "all",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for result.json, and for a plot where there is one.")
+    ] = None,
 ) -> None:
     """Measure the figures the documentation quotes, as JSON.
 
     Example: fieldkit bench spog
     """
     from fieldkit import plugins
+    from mission.lab.study.results import save_bench
 
     wanted = (
         [n for n in plugins.names("fieldkit.benchmarks") if not n.endswith("-long")]
@@ -132,6 +136,8 @@ def bench(
     for each in wanted:
         say(f"measuring {each} ...")
         results[each] = plugins.load("fieldkit.benchmarks", each)()
+    if out is not None:
+        save_bench(results, out)
     print_json(results)
 
 

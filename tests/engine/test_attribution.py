@@ -137,6 +137,40 @@ def test_one_more_source_is_weighed_as_the_poisson_process_says() -> None:
     assert out == pytest.approx(expected, abs=1e-11)
 
 
+def plain_ground_gain(
+    track: NDArray[np.float64],
+    worth: NDArray[np.float64],
+    cell: float,
+    hear: NDArray[np.float64],
+    step2: float,
+    ears: NDArray[np.float64],
+) -> tuple[float, NDArray[np.float64]]:
+    north, east = np.meshgrid(*((np.arange(n) + 0.5) * cell for n in worth.shape), indexing="ij")
+    exposure = np.zeros(worth.shape)
+    for robots in track:
+        silent = np.ones(worth.shape)
+        for (e, n), (up, factor, _) in zip(robots, ears, strict=True):
+            k = (((east - e) ** 2 + (north - n) ** 2 + up**2) * factor / step2).astype(int)
+            silent *= 1.0 - np.where(k < hear.size - 1, hear[np.minimum(k, hear.size - 1)], 0.0)
+        exposure += 1.5 * (1.0 - silent)
+    return float((worth * (1.0 - np.exp(-0.1 * exposure))).sum()), exposure
+
+
+@budget(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), robots=st.integers(1, 3), raised=st.booleans())
+def test_ground_is_gained_as_plain_numpy_says(seed: int, robots: int, raised: bool) -> None:
+    rng = np.random.default_rng(seed)
+    track, worth = rng.uniform(-2, 12, (5, robots, 2)), rng.uniform(0, 1, (12, 9))
+    hear, reach = np.sort(rng.uniform(0, 0.9, 65))[::-1].copy(), 3.3
+    step2 = reach**2 / 64.0
+    ears = np.array([[0.8 if raised else 0.0, 1.2 if raised else 1.0, 0.0]] * robots)
+    scratch = np.zeros(worth.shape)
+    gain = path_loops.path_ground_gain(track, 1.5, worth, 1.1, hear, step2, reach, 0.1, ears, scratch)
+    expected, exposure = plain_ground_gain(track, worth, 1.1, hear, step2, ears)
+    assert gain == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert scratch == pytest.approx(exposure, abs=1e-9)
+
+
 def plain_abreast(
     path: NDArray[np.float64], start: NDArray[np.float64], spacing: float, low: float, high: float
 ) -> NDArray[np.float64]:

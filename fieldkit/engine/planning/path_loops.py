@@ -25,7 +25,6 @@ def path_ground_gain(
     track: FloatArray,
     dt: float,
     value: FloatArray,
-    planned: FloatArray,
     cell: float,
     hear: FloatArray,
     step2: float,
@@ -36,14 +35,16 @@ def path_ground_gain(
 ) -> float:
     """Value of the ground a group of robots would cover on its path.
 
-    `track` (steps, m, 2); `value` (n_north, n_east) the reward of a find there times its probability;
-    `planned` exposure (s) other groups will add; `hear` (k,) averaged over levels; `ears` (m, 3) as of `as_far2`.
+    `track` (steps, m, 2); `value` (n_north, n_east) the reward of a find there times the probability that a source is
+    there and that no other group will have heard it; `hear` (k,) averaged over levels; `ears` (m, 3) as of `as_far2`.
     `scratch` (as `value`) holds the path's own exposure afterwards, wherever the path is heard; elsewhere it is not
     touched.
     """
     rows, columns = value.shape
     m = track.shape[1]
     last = hear.shape[0] - 1
+    per_step2 = 1.0 / step2
+    reach2 = reach * reach
     alike = True  # on the ground, with calibrated radios: no reason to ask at every cell
     for q in range(m):
         alike = alike and ears[q, 0] == 0.0 and ears[q, 1] == 1.0
@@ -56,10 +57,17 @@ def path_ground_gain(
     for t in range(track.shape[0]):
         row0 = max(0, int(math.floor((track[t, :, 1].min() - reach) / cell)))
         row1 = min(rows, int(math.floor((track[t, :, 1].max() + reach) / cell)) + 1)
-        column0 = max(0, int(math.floor((track[t, :, 0].min() - reach) / cell)))
-        column1 = min(columns, int(math.floor((track[t, :, 0].max() + reach) / cell)) + 1)
         for r in range(row0, row1):
             north = (r + 0.5) * cell
+            # Beyond the reach of all of them in this row there is nothing to be heard.
+            from_m, to_m = columns * cell, 0.0
+            for q in range(m):
+                room2 = reach2 - (north - track[t, q, 1]) ** 2
+                if room2 > 0.0:
+                    half = math.sqrt(room2)
+                    from_m, to_m = min(from_m, track[t, q, 0] - half), max(to_m, track[t, q, 0] + half)
+            column0 = max(0, int(math.floor(from_m / cell)))
+            column1 = min(columns, int(math.floor(to_m / cell)) + 1)
             for c in range(column0, column1):
                 east = (c + 0.5) * cell
                 silent = 1.0
@@ -69,7 +77,7 @@ def path_ground_gain(
                     d2 = de * de + dn * dn
                     if not alike:
                         d2 = as_far2(d2, ears, q)
-                    k = int(d2 / step2)
+                    k = int(d2 * per_step2)
                     if k < last:
                         silent *= 1.0 - hear[k]
                 scratch[r, c] += dt * (1.0 - silent)
@@ -77,9 +85,7 @@ def path_ground_gain(
     for r in range(low, high):
         for c in range(left, right):
             if scratch[r, c] > 0.0:
-                gain += (
-                    value[r, c] * math.exp(-rate * planned[r, c]) * (1.0 - math.exp(-rate * scratch[r, c]))
-                )
+                gain += value[r, c] * (1.0 - math.exp(-rate * scratch[r, c]))
     return gain
 
 
@@ -215,7 +221,6 @@ def all_ground_gains(
     clear: FloatArray,
     dt: float,
     value: FloatArray,
-    planned: FloatArray,
     cell: float,
     hear: FloatArray,
     step2: float,
@@ -230,9 +235,7 @@ def all_ground_gains(
         if clear[i] == 0.0:
             out[i] = -math.inf
         else:
-            out[i] = path_ground_gain(
-                tracks[i], dt, value, planned, cell, hear, step2, reach, rate, ears, scratch
-            )
+            out[i] = path_ground_gain(tracks[i], dt, value, cell, hear, step2, reach, rate, ears, scratch)
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""A study's results as files: JSON, every trial as CSV, a plot."""
+"""A study's or benchmark's results as files: JSON, every trial as CSV, a plot."""
 
 import json
 from pathlib import Path
@@ -26,3 +26,12 @@ def save(result: dict[str, Any], folder: Path) -> None:
         from mission.lab.study.plot import plot_surveys
 
         plot_surveys(result, folder / "reality.png")
+
+
+def save_bench(results: dict[str, Any], folder: Path) -> None:
+    """Write result.json of benchmarks by name, and the plot of `scale`."""
+    write_whole(folder / "result.json", json.dumps(results, indent=2, default=str))
+    if "scale" in results:
+        from mission.lab.bench_scale import plot_scale
+
+        plot_scale(results["scale"], folder / "scale.png")

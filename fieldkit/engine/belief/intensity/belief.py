@@ -8,6 +8,7 @@ is still there, unheard after exposure E, with weight (b / (b + E))^a.
 
 import hashlib
 from collections.abc import Sequence
+from operator import is_
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ class IntensityBelief:
         self.mixture = Mixture(settings)
         self.model = self.mixture.model
         self._silent: set[int] = set()
+        self._misfits: dict[int, tuple[list[Detection], tuple[float, ...], tuple[float, int]]] = {}
+        """Of a candidate: what it was last judged by, and how that came out."""
 
     @property
     def candidates(self) -> list[Candidate]:
@@ -158,11 +161,8 @@ class IntensityBelief:
         if not claimed:
             return 0.0, 0
         if self.mixture.places is not None:
-            return self.mixture.places.misfit(
-                [stored.detection for stored in claimed[-self._tuning.judged_on :]],
-                candidate.points_m[index],
-                float(self.model.level_dbm[level]),
-            )
+            last = [stored.detection for stored in claimed[-self._tuning.judged_on :]]
+            return self._misfit_in_places(candidate, last, candidate.points_m[index], int(level))
         ears = np.concatenate([stored.ears for stored in claimed])
         rss = np.concatenate([stored.rss_dbm for stored in claimed])
         point = candidate.points_m[index]
@@ -174,6 +174,18 @@ class IntensityBelief:
         return (
             float(np.minimum(squares[use], 12.0).mean()) if count else 0.0
         ), count  # one outlier is no misfit
+
+    def _misfit_in_places(
+        self, candidate: Candidate, detections: list[Detection], point_m: FloatArray, level: int
+    ) -> tuple[float, int]:
+        """The same under place noise; as it was where nothing of it has changed, which is so of most candidates."""
+        places, now = self.mixture.places, (*point_m.tolist(), level)
+        held, before, known = self._misfits.get(candidate.ident, ([], (), (0.0, 0)))
+        same = before == now and len(held) == len(detections) and all(map(is_, held, detections))
+        if places is not None and not same:
+            known = places.misfit(detections, point_m, float(self.model.level_dbm[level]))
+            self._misfits[candidate.ident] = detections, now, known
+        return known
 
     def sources(self) -> list[SourceEstimate]:
         """Candidates with at least one reception, by identity."""
@@ -209,11 +221,22 @@ class IntensityBelief:
             )
         return estimates
 
+    def _spread_out(self, candidate: Candidate) -> tuple[FloatArray, FloatArray]:
+        """Its points (n, 2) and the posterior of each; one that stands for several cells has a part in each of them."""
+        place = np.asarray(candidate.posterior().sum(axis=0))
+        parts = round(candidate.spacing_m / self.grid.cell_m)
+        if parts < 2:
+            return candidate.points_m, place
+        along = ((np.arange(parts) + 0.5) / parts - 0.5) * candidate.spacing_m
+        offsets = np.column_stack([np.tile(along, parts), np.repeat(along, parts)])
+        points = (candidate.points_m[:, None] + offsets).reshape(-1, 2)
+        return points, np.repeat(place / parts**2, parts**2)
+
     def _cells_of(self, candidate: Candidate) -> tuple[NDArray[np.intp], FloatArray]:
         """Flat indices of cells of the field, and the posterior of each; what lies outside is left out."""
-        place = candidate.posterior().sum(axis=0)
-        column = np.floor(candidate.points_m[:, 0] / self.grid.cell_m).astype(int)
-        row = np.floor(candidate.points_m[:, 1] / self.grid.cell_m).astype(int)
+        points, place = self._spread_out(candidate)
+        column = np.floor(points[:, 0] / self.grid.cell_m).astype(int)
+        row = np.floor(points[:, 1] / self.grid.cell_m).astype(int)
         inside = (row >= 0) & (row < self.grid.n_north) & (column >= 0) & (column < self.grid.n_east)
         flat = (row * self.grid.n_east + column)[inside]
         cells = np.unique(flat)
@@ -225,8 +248,8 @@ class IntensityBelief:
 
         Those outside the field have numbers that no cell of it has.
         """
-        place = candidate.posterior().sum(axis=0)
-        at = np.floor(candidate.points_m[:, ::-1] / self.grid.cell_m).astype(int)
+        points, place = self._spread_out(candidate)
+        at = np.floor(points[:, ::-1] / self.grid.cell_m).astype(int)
         cells, which = np.unique(at, axis=0, return_inverse=True)
         weight = np.asarray(np.bincount(which.ravel(), weights=place), dtype=float)
         sigma_cells = self.mixture.summary(candidate).shared_sigma_m / self.grid.cell_m

@@ -62,17 +62,21 @@ def ground_of(settings: EngineSettings, most_cells: int) -> Ground:
     margin_m = float(np.max(settings.antenna.nominal_range_m(np.array(settings.power_levels_db))))
     margin_m = min(margin_m, MOST_SIDES * max(field.size_east_m, field.size_north_m))
     factor = 1
+    shortest_m = float(np.min(settings.antenna.nominal_range_m(np.array(settings.power_levels_db))))
     while True:
         cell_m = factor * field.cell_m
         beyond = math.ceil(margin_m / cell_m)
         n_east = math.ceil(field.n_east / factor) + 2 * beyond
         n_north = math.ceil(field.n_north / factor) + 2 * beyond
-        if n_east * n_north <= max(most_cells, 2 * field.n_cells) or factor > 64:
+        cells, blurred = n_east * n_north, cell_m + field.cell_m <= BLURRED * shortest_m
+        if factor > 64 or cells <= most_cells or (cells <= 2 * field.n_cells and not blurred):
             west_m = -beyond * cell_m
             grid = Grid(n_east * cell_m, n_north * cell_m, cell_m, west_m, west_m)
             return Ground(field, grid, factor, beyond)
         factor += 1
 
 
+BLURRED = 0.05
+"""Ground in cells of this part of the shortest range is as good as ground in smaller ones: hearing is that blurred."""
 MOST_SIDES = 2.0
 """No source is sought further outside than so many of the field's longer sides: that is another field."""

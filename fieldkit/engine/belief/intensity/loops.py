@@ -14,6 +14,12 @@ from fieldkit.messages import FloatArray, IntArray
 
 UNCLAIMED = 1e-6
 """A responsibility so small leaves what the others say of a candidate as it is."""
+MOVED = 1e-6
+"""A responsibility that changes by less stays as it is, and the evidence with it."""
+SMALL = 1e-3
+"""Responsibilities so near to 0 or 1, and changes so small, tilt a posterior by a series instead of an exponential."""
+SERIES = 0.1
+"""exp(x) by four terms is right to 4e-6 for |x| up to this."""
 NEGLIGIBLE = -25.0
 """Entries so many nats under the best one count for nothing."""
 _WHOLE = np.exp(-np.arange(746.0))
@@ -34,6 +40,14 @@ def _exp(x: float) -> float:
     r = (fine - part) / 256.0
     result: float = _WHOLE[whole] * _PARTS[part] * (1.0 - r * (1.0 - r * (0.5 - r / 6.0)))
     return result
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _exp_small(x: float) -> float:
+    """exp(x), by a series where |x| is small."""
+    if abs(x) < SERIES:
+        return 1.0 + x * (1.0 + x * (0.5 + x / 6.0))
+    return math.exp(x)
 
 
 @njit(cache=True, nogil=True)
@@ -76,8 +90,9 @@ def attribute(
     """
     k_all, c_all = rows.shape
     terms = np.empty(c_all + 2)
-    weights = np.empty(post.shape[0])  # of a candidate's entries, by all it claims
+    weights = np.empty(post.shape[0])  # of a candidate's entries, by all it claims, over that of the best one
     summed = np.empty(c_all)
+    top_post = np.empty(c_all)
     stale = np.ones(c_all, dtype=np.bool_)
     for k in range(k_all):
         near = 0
@@ -99,40 +114,24 @@ def attribute(
         for c in range(c_all):
             if rows[k, c] < 0:
                 continue
-            log_like = values[rows[k, c] : rows[k, c] + active[start[c + 1] - 1] + 1]
+            first, end = start[c], start[c + 1]
+            log_like = values[rows[k, c] : rows[k, c] + active[end - 1] + 1]
             weight = responsibility[k, c]
-            total = 0.0
-            total_with = 0.0
-            if weight < UNCLAIMED:
-                if stale[c]:
-                    stale[c] = False
-                    summed[c] = 0.0
-                    best = -1e300
-                    for a in range(start[c], start[c + 1]):
-                        best = max(best, post[a])
-                    for a in range(start[c], start[c + 1]):
-                        rest = post[a] - best
-                        weights[a] = _exp(rest) if rest > NEGLIGIBLE else 0.0
-                        summed[c] += weights[a]
-                total = summed[c]
-                for a in range(start[c], start[c + 1]):
-                    if weights[a] > 0.0:
-                        total_with += weights[a] * _exp(np.float64(log_like[active[a]]))
-            else:
-                best = -1e300
-                for a in range(start[c], start[c + 1]):
-                    rest = post[a] - weight * log_like[active[a]]
-                    if rest > best:
-                        best = rest
-                for a in range(start[c], start[c + 1]):
-                    like = np.float64(log_like[active[a]])
-                    rest = post[a] - weight * like - best
-                    if rest > NEGLIGIBLE:
-                        p = _exp(rest)
-                        total += p
-                        total_with += p * _exp(like)
+            if stale[c] and (weight < SMALL or weight > 1.0 - SMALL):
+                stale[c] = False
+                top_post[c] = post[first:end].max()
+                summed[c] = _weigh(post[first:end], top_post[c], weights[first:end])
+            predicted = _log_predicted(
+                log_like,
+                weight,
+                active[first:end],
+                post[first:end],
+                weights[first:end],
+                summed[c],
+                top_post[c],
+            )
             rate = (rate_shape + max(0.0, receptions[c] - weight)) / (rate_prior + mean_exposure[c])
-            terms[c + 2] = math.log(rate) + math.log(max(total_with, 1e-300)) - math.log(total)
+            terms[c + 2] = math.log(rate) + predicted
             top = max(top, terms[c + 2])
             top_known = max(top_known, terms[c + 2])
         all_ways = math.exp(terms[0] - top) + math.exp(terms[1] - top)
@@ -146,15 +145,86 @@ def attribute(
         for c in range(c_all):
             if rows[k, c] < 0:
                 continue
-            new = whole[k] * math.exp(terms[c + 2] - top) / all_ways
-            change = new - responsibility[k, c]
-            responsibility[k, c] = new
+            change = whole[k] * math.exp(terms[c + 2] - top) / all_ways - responsibility[k, c]
+            if abs(change) <= MOVED:
+                continue
+            responsibility[k, c] += change
             receptions[c] += change
-            if abs(change) > 1e-12:
-                stale[c] = True
-                log_like = values[rows[k, c] : rows[k, c] + active[start[c + 1] - 1] + 1]
-                for a in range(start[c], start[c + 1]):
-                    post[a] += change * (log_like[active[a]] - log_exposure[a])
+            stale[c] = stale[c] or abs(change) > SMALL
+            first, end = start[c], start[c + 1]
+            log_like = values[rows[k, c] : rows[k, c] + active[end - 1] + 1]
+            total = 0.0
+            for a in range(first, end):
+                tilt = change * (log_like[active[a]] - log_exposure[a])
+                post[a] += tilt
+                if not stale[c] and weights[a] > 0.0:
+                    weights[a] *= _exp_small(tilt)
+                    total += weights[a]
+            summed[c] = total
+
+
+@njit(cache=True, nogil=True)
+def _weigh(post: FloatArray, top: float, weights: FloatArray) -> float:
+    """Fill the weights (n,) with exp(post - top), 0 where that is negligible; their sum."""
+    total = 0.0
+    for a in range(post.shape[0]):
+        rest = post[a] - top
+        weights[a] = _exp(rest) if rest > NEGLIGIBLE else 0.0
+        total += weights[a]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _log_predicted(
+    log_like: Kept,
+    weight: float,
+    active: IntArray,
+    post: FloatArray,
+    weights: FloatArray,
+    summed: float,
+    top_post: float,
+) -> float:
+    """log of what a candidate predicts of a detection that it claims with `weight`, which is left out of its posterior.
+
+    log of sum p L over sum p, with p = exp(post - weight log L). `weights`, `summed` and `top_post` are as of `_weigh`,
+    up to date unless the weight is neither near 0 nor near 1.
+    """
+    total = 0.0
+    total_with = 0.0
+    n = post.shape[0]
+    if weight < UNCLAIMED:
+        for a in range(n):
+            if weights[a] > 0.0:
+                total_with += weights[a] * _exp(np.float64(log_like[active[a]]))
+        return math.log(max(total_with, 1e-300)) - math.log(summed)
+    if weight < SMALL:
+        for a in range(n):
+            if weights[a] > 0.0:
+                like = np.float64(log_like[active[a]])
+                p = weights[a] * _exp_small(-weight * like)
+                total += p
+                total_with += p * _exp(like)
+        return math.log(max(total_with, 1e-300)) - math.log(total)
+    best = -1e300
+    for a in range(n):
+        best = max(best, post[a] - weight * log_like[active[a]])
+    if weight > 1.0 - SMALL:
+        for a in range(n):
+            like = np.float64(log_like[active[a]])
+            rest = post[a] - weight * like - best
+            if rest > NEGLIGIBLE:
+                total += _exp(rest)
+            if weights[a] > 0.0:
+                total_with += weights[a] * _exp_small((1.0 - weight) * like)
+        return math.log(max(total_with, 1e-300)) - math.log(total) + top_post - best
+    for a in range(n):
+        like = np.float64(log_like[active[a]])
+        rest = post[a] - weight * like - best
+        if rest > NEGLIGIBLE:
+            p = _exp(rest)
+            total += p
+            total_with += p * _exp(like)
+    return math.log(max(total_with, 1e-300)) - math.log(total)
 
 
 @njit(cache=True, nogil=True)

@@ -6,6 +6,7 @@ detections better than those there are; two become one where one explains better
 supports any more is dropped. `hypotheses` re-estimates a candidate that may be stuck from its detections.
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -50,6 +51,8 @@ class OpenDetection:
     """(k, columns) by whom, as the likelihood sees them."""
     rss_dbm: FloatArray
     """(k,) how strongly; nan where at the receiver's ceiling."""
+    sigma_m: float
+    """Mean deviation of the positions of those who listened."""
 
 
 class Mixture:
@@ -220,16 +223,23 @@ class Mixture:
             if not candidate.name and self.in_reach(candidate, stored):
                 candidate.know(number, self.log_likelihood(candidate, number))
 
-    def log_likelihood(self, candidate: Candidate, number: int) -> FloatArray:
+    def claimed_by(self, candidate: Candidate) -> list[int]:
+        """Open detections that are the candidate's own."""
+        return [
+            number
+            for number, responsibility in candidate.responsibility.items()
+            if responsibility >= self.tuning.claimed and number in self.open
+        ]
+
+    def log_likelihood(
+        self, candidate: Candidate, number: int, claimed: list[int] | None = None
+    ) -> FloatArray:
         """(h, n) of an open detection over the candidate's points, given what it claims to have sent before."""
         detection = self.open[number].detection
         if self.places is None:
             return self.model.log_likelihood(detection, candidate.points_m)
-        claimed = [
-            other
-            for other, responsibility in candidate.responsibility.items()
-            if responsibility >= self.tuning.claimed and other < number and other in self.open
-        ]
+        if claimed is None:
+            claimed = [other for other in self.claimed_by(candidate) if other < number]
         candidate.based_on[number] = claimed
         own = [self.open[other] for other in claimed]
         if not own:
@@ -250,11 +260,7 @@ class Mixture:
         """Mean weight of what it claims given its neighbours; 1 without place noise."""
         if self.places is None or self.settings.spread is None:
             return 1.0
-        own = [
-            self.open[number].near_m
-            for number, responsibility in candidate.responsibility.items()
-            if responsibility >= self.tuning.claimed and number in self.open
-        ]
+        own = [self.open[number].near_m for number in self.claimed_by(candidate)]
         return float(redundancy(own, self.settings.spread).mean()) if own else 1.0
 
     def _condition(self) -> None:
@@ -266,18 +272,16 @@ class Mixture:
     def condition_on_each_other(self, candidate: Candidate) -> bool:
         """Condition each detection of a candidate on those it claims before it; whether any was conditioned anew."""
         anew = False
+        own = self.claimed_by(candidate)
+        in_order = own == sorted(own)
         for number, responsibility in candidate.responsibility.items():
             if responsibility < 0.05 or number not in self.open:
                 continue
-            claimed = [
-                other
-                for other, part in candidate.responsibility.items()
-                if part >= self.tuning.claimed and other < number and other in self.open
-            ]
+            claimed = own[: bisect_left(own, number)] if in_order else [o for o in own if o < number]
             if claimed == candidate.based_on.get(number):
                 continue
             old = candidate.logs[number].array
-            candidate.know(number, self.log_likelihood(candidate, number))
+            candidate.know(number, self.log_likelihood(candidate, number, claimed))
             candidate.evidence += responsibility * (candidate.logs[number].array - old)
             anew = True
         return anew
@@ -309,6 +313,7 @@ class Mixture:
             heard_at,
             self.ears.of_detection(detection)[detection.heard],
             np.where(detection.saturated, np.nan, detection.rss_dbm)[detection.heard],
+            float(detection.sigma_m.mean()) if detection.sigma_m.size else 0.0,
         )
 
     def in_reach(self, candidate: Candidate, stored: OpenDetection) -> bool:
@@ -354,9 +359,8 @@ class Mixture:
         )
 
         def mean_exposure_s() -> FloatArray:
-            seen = np.array([self.summary(candidate).exposure_s for candidate in self.candidates])
             self._summaries.clear()
-            return seen
+            return np.array([each.mean_exposure_s(each.posterior()) for each in self.candidates])
 
         attribute(
             self.arena,

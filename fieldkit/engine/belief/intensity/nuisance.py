@@ -47,13 +47,12 @@ def shared_sigma_m(mixture: "Mixture", candidate: Candidate) -> float:
     ]
     if not own:
         return mixture.settings.pose_sigma_m
-    sigmas = [float(each.detection.sigma_m.mean()) if each.detection.sigma_m.size else 0.0 for each in own]
-    sigma_m = max(mixture.settings.pose_sigma_m, float(np.mean(sigmas)))
+    sigma_m = max(mixture.settings.pose_sigma_m, float(np.mean([each.sigma_m for each in own])))
     middle = candidate.points_m[int(candidate.log_posterior().max(axis=0).argmax())]
-    information: dict[int, float] = {}
-    for each in own:
-        far2 = float(((each.near_m - middle) ** 2).sum(axis=1).min()) + sigma_m**2 + mixture.field.cell_m**2
-        block = each.detection.t_ns // SHARED_NS
-        information[block] = information.get(block, 0.0) + 1.0 / far2
-    weight = np.array(list(information.values()))
-    return float(sigma_m * np.sqrt((weight**2).sum()) / weight.sum())
+    near_m = np.concatenate([each.near_m for each in own])
+    first = np.cumsum([0, *(len(each.near_m) for each in own[:-1])])
+    away2 = np.minimum.reduceat(((near_m - middle) ** 2).sum(axis=1), first)
+    blocks = np.array([each.detection.t_ns for each in own], dtype=np.int64) // SHARED_NS
+    _, which = np.unique(blocks, return_inverse=True)
+    information = np.bincount(which, weights=1.0 / (away2 + sigma_m**2 + mixture.field.cell_m**2))
+    return float(sigma_m * np.sqrt((information**2).sum()) / information.sum())

@@ -15,9 +15,6 @@ from fieldkit.engine.belief.intensity.arena import Arena, starts_table
 from fieldkit.engine.belief.intensity.candidate import Candidate, active_entries
 from fieldkit.messages import FloatArray
 
-MOVED = 1e-6
-"""A responsibility that changes by less stays as it is, and the evidence with it."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attribution:
@@ -109,7 +106,7 @@ def claim_what_moved(
     candidates: list[Candidate], numbers: list[int], before: FloatArray, responsibility: FloatArray
 ) -> FloatArray:
     """Have the candidates claim `responsibility` (k, c) where it has moved; (k, c) as they claim now."""
-    moved = np.abs(responsibility - before) > MOVED
+    moved = np.abs(responsibility - before) > loops.MOVED
     for column, candidate in enumerate(candidates):
         changed = np.flatnonzero(moved[:, column])
         if changed.size:

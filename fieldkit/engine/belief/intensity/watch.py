@@ -112,9 +112,10 @@ class Watch:
     def judge(self, spread: ChannelSpread) -> list[str]:
         """What is new to say of receivers; offsets and insensitivity are brought up to date."""
         said = []
+        means = {robot: mean_of(its.measured, spread) for robot, its in self.of.items()}
         for robot, its in self.of.items():
             said += self._judge_sensitivity(robot, its)
-            said += self._judge_offset(robot, its, spread)
+            said += self._judge_offset(robot, its, means)
         return said
 
     def _judge_sensitivity(self, robot: str, its: Heard) -> list[str]:
@@ -133,10 +134,9 @@ class Watch:
             return [f"{robot}: hears again ({heard} of {count} packets); its silence counts"]
         return []
 
-    def _judge_offset(self, robot: str, its: Heard, spread: ChannelSpread) -> list[str]:
-        others = [mean_of(other.measured, spread) for name, other in self.of.items() if name != robot]
-        others = [each for each in others if each.is_enough]
-        its_mean, count = mean_of(its.measured, spread), len(its.measured)
+    def _judge_offset(self, robot: str, its: Heard, means: "dict[str, Mean]") -> list[str]:
+        others = [mean for name, mean in means.items() if name != robot and mean.is_enough]
+        its_mean, count = means[robot], len(its.measured)
         if not its_mean.is_enough or not others:
             return []
         more_db = its_mean.mean_db - float(np.median([each.mean_db for each in others]))
@@ -147,6 +147,7 @@ class Watch:
             return []
         its.offset_db += more_db
         its.measured.clear()
+        means[robot] = NOT_MEASURED
         if named and abs(more_db) < LEAST_OFFSET_DB:
             return []
         return [
@@ -191,6 +192,9 @@ class Mean:
         return self.count >= LEAST and self.places >= LEAST_PLACES
 
 
+NOT_MEASURED = Mean(0.0, np.inf, 0.0, 0)
+
+
 def mean_of(measured: Sequence[Measured], spread: ChannelSpread) -> Mean:
     """The mean of what was measured at these places, of these sources.
 
@@ -198,7 +202,7 @@ def mean_of(measured: Sequence[Measured], spread: ChannelSpread) -> Mean:
     the source's position or power likewise; noise in time is of each alone.
     """
     if not measured:
-        return Mean(0.0, np.inf, 0.0, 0)
+        return NOT_MEASURED
     residual_db, sd, east, north, source = np.array(
         [(m.residual_db, m.expected_sd_db, m.east_m, m.north_m, m.source) for m in measured]
     ).T
