@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Key, Logs
+from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Key, Log, Logs
 from fieldkit.errors import DataError, FieldkitError, RecordingError
 from fieldkit.messages import Operator
 from fieldkit.recording.reader import open_recording
@@ -188,7 +188,7 @@ def lay_together(known: Sequence[Logs], robots: tuple[str, ...]) -> tuple[Logs, 
     for key in Logs.keys(robots):
         versions = [logs.entries[key] for logs in known]
         best = max(versions, key=lambda log: (sum(_agree(log, other) for other in versions), len(log)))
-        whole.entries[key] = list(best)
+        whole.entries[key] = best
         agreeing = [logs for logs in known if _agree(best, logs.entries[key])]
         whole.closed[key] = max((logs.closed[key] for logs in agreeing), default=NEVER)
         if len(agreeing) < len(known):
@@ -200,7 +200,7 @@ def lay_together(known: Sequence[Logs], robots: tuple[str, ...]) -> tuple[Logs, 
     return whole, words
 
 
-def _agree(one: list[Any], other: list[Any]) -> bool:
+def _agree(one: Log, other: Log) -> bool:
     size = min(len(one), len(other))
     return one[:size] == other[:size]
 

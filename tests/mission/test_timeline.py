@@ -8,7 +8,7 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 
 from fieldkit.channel.model import Antenna
-from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, TICK_NS, Logs, Part
+from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, TICK_NS, Log, Logs, Part
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
@@ -112,11 +112,11 @@ def test_what_comes_to_be_known_too_late_is_noticed() -> None:
     whole, _ = observed(6)
     key = next(key for key, log in whole.entries.items() if key[0] == "d" and len(log) > 3)
     partly = replace(whole)
-    partly.entries = {each: list(log) for each, log in whole.entries.items()}
-    known = partly.entries[key][:2]
-    rest, partly.entries[key] = partly.entries[key][2:], known
+    partly.entries = {each: Log(*each, log) for each, log in whole.entries.items()}
+    known, rest = partly.entries[key][:2], partly.entries[key][2:]
+    partly.entries[key] = Log(*key, known)
     line = Timeline(kernel(), ("a", "b", "c"))
     line.step_to(partly, whole.checkpoint(), 10**6)
     assert not line.has_missed(partly)
-    partly.entries[key] = known + rest
+    partly.entries[key].extend(rest)
     assert line.has_missed(partly)

@@ -11,61 +11,38 @@ therefore stands late in the log, as it would in the inbox of a single computer,
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from enum import IntEnum
 
-from fieldkit.messages import Operator, Pose, ReceiverState, RssReading, VehicleState
+from fieldkit.engine.decentralised.entries import (
+    STEP_NS,
+    Entry,
+    Key,
+    Observation,
+    Part,
+    Stream,
+    stream_of,
+)
+from fieldkit.engine.decentralised.log import Log
 from fieldkit.settings import TICK_S
 
-STEP_NS = 100_000
-"""Times in logs are whole steps of 0.1 ms: far below what clocks of robots agree to."""
+__all__ = [
+    "NEVER",
+    "STEP_NS",
+    "TICK_NS",
+    "Entry",
+    "Key",
+    "Log",
+    "Logs",
+    "Observation",
+    "Part",
+    "Stream",
+    "stream_of",
+]
+
 TICK_NS = round(TICK_S * 1e9)
 NEVER = -1
 """The tick up to which a log is closed of which nothing is known."""
 MOST_PENDING = 256
 """Parts kept until what lies before them has come."""
-
-Observation = RssReading | ReceiverState | Pose | VehicleState | Operator
-
-
-class Stream(IntEnum):
-    """The logs of one robot, the most urgent first."""
-
-    ORDERS = 0
-    HEARD = 1
-    PLACES = 2
-
-
-Key = tuple[str, Stream]
-"""One log: whose, and which."""
-
-
-def stream_of(event: Observation) -> Stream:
-    """The log an observation belongs to."""
-    if isinstance(event, Pose):
-        return Stream.PLACES
-    return Stream.HEARD if isinstance(event, RssReading) else Stream.ORDERS
-
-
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """One observation, and the time by which it is ordered among those of all robots."""
-
-    order_ns: int
-    event: Observation
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """Consecutive entries of one log; `first` is the number of the first, counted from 0."""
-
-    robot: str
-    stream: Stream
-    first: int
-    entries: tuple[Entry, ...]
-
-    @property
-    def key(self) -> Key:
-        return self.robot, self.stream
 
 
 @dataclass
@@ -74,7 +51,7 @@ class Logs:
 
     me: str
     robots: tuple[str, ...]
-    entries: dict[Key, list[Entry]] = field(init=False)
+    entries: dict[Key, Log] = field(init=False)
     closed: dict[Key, int] = field(init=False)
     """Log to the tick up to which it is known to be whole."""
     left_out: int = 0
@@ -88,7 +65,7 @@ class Logs:
         if self.me not in self.robots:
             raise ValueError(f"robot {self.me!r} is not one of {', '.join(self.robots)}")
         keys = list(self.keys(self.robots))
-        self.entries = {key: [] for key in keys}
+        self.entries = {key: Log(*key) for key in keys}
         self.closed = dict.fromkeys(keys, NEVER)
         self._pending = {key: {} for key in keys}
 
@@ -141,7 +118,7 @@ class Logs:
             self._extend(log, waiting.pop(ready))
         return tuple(log[before:])
 
-    def _extend(self, log: list[Entry], part: Part) -> None:
+    def _extend(self, log: Log, part: Part) -> None:
         new = part.entries[len(log) - part.first :]
         least_ns = max(self.closed[part.key] * TICK_NS + STEP_NS, log[-1].order_ns if log else 0)
         for entry in new:

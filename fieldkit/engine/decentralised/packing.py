@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, get_args, get_type_hints
 
-from fieldkit.engine.decentralised.logs import STEP_NS, Entry, Observation, Part, Stream, stream_of
+from fieldkit.engine.decentralised.entries import STEP_NS, Entry, Observation, Part, Stream, stream_of
 from fieldkit.errors import RecordingError
 from fieldkit.messages import Operator, Pose, ReceiverState, RssReading, RssVia, VehicleMode, VehicleState
 
