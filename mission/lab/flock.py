@@ -155,7 +155,7 @@ class Flock:
         for name, agent in self.agents.items():
             if name in self.lost:
                 continue
-            if name not in self.ended and self.world.t_s >= self._listens_until_s.get(name, 0.0):
+            if name not in self.ended and not self._listens(name):
                 self._tick(name, agent)
             safety = self.safety[name]
             if (off := agent.talk.clock_off(self.now_ns(name))) is not None:
@@ -189,6 +189,12 @@ class Flock:
         self.lost.discard(name)
         self._listens_until_s[name] = self.world.t_s + LISTENS_S
         self._observe(name, VehicleState(round(self.world.t_s * 1e9), name, "guided", True))
+
+    def _listens(self, name: str) -> bool:
+        """Whether an agent that was started again waits for what it has lost."""
+        talk = self.agents[name].talk
+        lacks = not talk.logs.has_begun and talk.lacks_own()
+        return lacks or self.world.t_s < self._listens_until_s.get(name, 0.0)
 
     def order(self, name: str, action: str, robot: str | None = None) -> None:
         """An operator at one robot's agent."""

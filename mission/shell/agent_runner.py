@@ -34,6 +34,8 @@ logger = logging.getLogger(__name__)
 CARD_EVERY_S = 5.0
 LOOK_ROUND_S = 3.0
 """Before the start an agent listens for so long: for a second one of its robot, and for its own log."""
+OWN_LOG_S = 300.0
+"""... and for so long where it has lost its journal and others still bring its log back."""
 LINGER_S = 10.0
 """So long after the end others may still fetch what they lack."""
 
@@ -168,8 +170,10 @@ class AgentRunner(Runner):
 
     async def _start(self) -> None:
         """Look round first: nothing of the robot's is touched where another agent has it."""
-        clock, until_s = self.setup.clock, self.setup.clock.elapsed_s() + LOOK_ROUND_S
-        while clock.elapsed_s() < until_s:
+        clock, talk, began_s = self.setup.clock, self.crew.agent.talk, self.setup.clock.elapsed_s()
+        while (waited_s := clock.elapsed_s() - began_s) < LOOK_ROUND_S or (
+            talk.lacks_own() and waited_s < OWN_LOG_S
+        ):
             self._speak()
             await clock.sleep(TICK_S)
         if not self.crew.agent.talk.in_range(clock.now_ns()):

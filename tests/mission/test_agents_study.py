@@ -69,6 +69,22 @@ def test_the_others_go_on_whoever_is_killed(monkeypatch: pytest.MonkeyPatch, kil
         assert told["rejoined_within_s"] < 20.0
 
 
+def test_an_agent_that_has_lost_its_journal_begins_when_it_has_its_whole_log_back() -> None:
+    """Over a narrow link that takes longer than it listens anyway."""
+    flock = killed.light_flock(1)
+    flock.begin()
+    for _ in range(80):
+        flock.step()
+    flock.kill("r1")
+    for agent in flock.agents.values():
+        agent.talk.bytes_s = 400.0
+    flock.revive("r1", with_journal=False)
+    for _ in range(30):
+        flock.step()
+    back = flock.agents["r1"]
+    assert back.logs.has_begun and not back.talk.lost and flock.agrees()
+
+
 def test_victims_and_times_are_drawn_over_all() -> None:
     kills = [killed.drawn(seed) for seed in range(200)]
     assert {kill.victim for kill in kills} == {*killed.NAMES, killed.LAPTOP}

@@ -239,6 +239,13 @@ class Talk:
         """Members that are heard."""
         return [name for name, peer in self.peers.items() if (now_ns - peer.heard_ns) * 1e-9 <= HEARS_S]
 
+    def lacks_own(self) -> bool:
+        """Whether somebody has more of our own logs than we: before anything is added, they bring us the rest."""
+        counts = {key: len(self.logs.entries[key]) for key in self.logs.keys((self.logs.me,))}
+        return any(
+            peer.counts.get(key, 0) > count for peer in self.peers.values() for key, count in counts.items()
+        )
+
     def clock_off(self, now_ns: int) -> tuple[str, float] | None:
         """Whose clock is to be followed, and by how many seconds ours is ahead of it; None where nothing is to be done.
 
