@@ -33,7 +33,8 @@ LONG = tuple(
     for name in (
         "campaign_of_missions", "campaigns", "commands", "compare_beliefs", "fault_study", "pairs_apart", "placed",
         "reality_study", "refit", "replay", "report", "resume", "study_command", "systems", "walk", "what_if",
-        "flock", "agents_study", "heights", "anything", "patterns", "odd_files", "odd_arguments", "damage",
+        "flock", "agents_study", "apart", "collected", "bench_agents", "heights", "anything", "patterns",
+        "odd_files", "odd_arguments", "damage",
     )
 )  # fmt: skip
 """Tests that fly whole missions, or do one thing hundreds of times. What they reach, others reach too."""

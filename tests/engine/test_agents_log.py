@@ -61,10 +61,10 @@ def test_every_entry_comes_back_as_it_was(stream: Stream, count: int) -> None:
     assert log != [*given, *entries(MAKE[stream], 1)]
 
 
-def test_an_hour_of_poses_takes_a_hundred_kilobytes() -> None:
+def test_a_pose_takes_less_than_nine_bytes() -> None:
     log = Log("a", Stream.PLACES, entries(driven, HOUR))
     packed = HOUR - HOUR % CHUNK - RECENT
-    assert packed <= 7_200 and log.packed_bytes / packed < 14.0
+    assert log.packed_bytes / packed < 9.0
 
 
 def test_a_reader_in_another_thread_sees_no_half_a_change() -> None:

@@ -58,6 +58,7 @@ def test_the_others_go_on_whoever_is_killed(monkeypatch: pytest.MonkeyPatch, kil
     monkeypatch.setattr(killed, "drawn", lambda seed: kill)
     monkeypatch.setattr(killed, "AFTER_S", 25.0)
     row = trial(Job(scenario("killed"), 3))
+    assert (row["victim"], row["back"]) == (kill.victim, math.isfinite(kill.away_s))
     assert row["goes_on"] and row["holds"] and row["same"] and row["compared"] >= 12
     assert row["unknown_to_others"] == 0
     told = summarise([row, row])

@@ -46,6 +46,8 @@ class Scenario:
     """When the agent of the last robot dies."""
     kills: bool = False
     """Short trials of `mission.lab.study.killed` instead: somebody dies at any time, and half come back."""
+    away_s: float | None = None
+    """An agent of those is back after this time instead."""
 
 
 HALVES = frozenset(ROBOTS[:2])
@@ -63,6 +65,7 @@ SCENARIOS = (
     Scenario("clocks 2 s apart", clock_s=(0.0, 2.0, -2.0, 0.5)),
     Scenario("one agent dies after 100 s", killed_s=100.0),
     Scenario("killed", kills=True),
+    Scenario("back after an hour", kills=True, away_s=3_600.0),
 )
 
 
@@ -105,7 +108,7 @@ def hidden(seed: int) -> tuple[TransientSource, ...]:
 def trial(job: Job) -> dict[str, Any]:
     """One mission of a scenario."""
     if job.scenario.kills:
-        return killed.trial(job.seed)
+        return killed.trial(job.seed, job.scenario.away_s)
     kernel, scenario = kernel_settings(job.seed, job.most_s), job.scenario
     truth = Truth(antenna(), hidden(job.seed), STARTS_M, max_speed_m_s=kernel.engine.max_speed_m_s)
     safety = safety_settings(kernel)

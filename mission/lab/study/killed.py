@@ -37,6 +37,8 @@ AWAY_S = (5.0, 60.0)
 """One that comes back does so after a time between these."""
 AFTER_S = 60.0
 """So long is looked on after the kill, or after the return."""
+CATCHES_UP = 10.0
+"""One that was away gets level again so many times as fast as time passed, at least."""
 KEPT_BEFORE_S = 1.0
 """Observations older than this at the kill must be with somebody."""
 ROLLS_M = 0.3
@@ -80,9 +82,10 @@ def light_flock(seed: int) -> Flock:
     return Flock(kernel, safety, truth, AIR, seed, contact_m=CONTACT_M)
 
 
-def trial(seed: int) -> dict[str, Any]:
-    """One kill."""
-    kill, flock = drawn(seed), light_flock(seed)
+def trial(seed: int, away_s: float | None = None) -> dict[str, Any]:
+    """One kill: by chance, or of an agent that comes back with its journal after `away_s`."""
+    kill = drawn(seed) if away_s is None else Kill(NAMES[1], EARLIEST_S, away_s, True)
+    flock = light_flock(seed)
     flock.begin()
     _until(flock, kill.at_s)
     row = {
@@ -113,7 +116,8 @@ def _agent_killed(flock: Flock, kill: Kill) -> dict[str, Any]:
         _until(flock, flock.world.t_s + kill.away_s)
         rolled_m, back_s = math.dist(place_m, _place_m(flock, victim)), flock.world.t_s
         flock.revive(victim, with_journal=kill.keeps_journal)
-        moved_m = _moved_m(flock, victim, back_s + AFTER_S, lambda: _is_level(flock, victim))
+        until_s = back_s + AFTER_S + kill.away_s / CATCHES_UP
+        moved_m = _moved_m(flock, victim, until_s, lambda: _is_level(flock, victim))
         rejoined_s = None if moved_m[1] is None else moved_m[1] - back_s
     else:
         _until(flock, flock.world.t_s + AGENT_ABSENT_S)
