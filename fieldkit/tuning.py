@@ -89,7 +89,10 @@ class IntensityTuning(_Table):
     )
     fine_cells: float = tuned(0.5, 0.5, 0.5, "cell", "spacing of a candidate's points", HAND)
     refine_points: int = tuned(
-        100, 12, 100_000, "", "points from which on a candidate gets four for each of its own", MEMORY
+        300, 12, 100_000, "", "points from which on a candidate gets four for each of its own", MEMORY
+    )
+    blurred_points: int = tuned(
+        100, 12, 100_000, "", "the same where its points are nearer together than hearing is sharp", MEMORY
     )
     ground_cells: int = tuned(
         6_000,

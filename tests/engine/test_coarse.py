@@ -1,13 +1,16 @@
 """Clouds and ground in coarse points where ranges are long: what is said of a source hardly depends on how coarse."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fieldkit.channel.model import Antenna
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
+from fieldkit.engine.belief.intensity.births import is_coarse
 from fieldkit.engine.belief.intensity.ground import BLURRED, ground_of
+from fieldkit.engine.belief.intensity.mixture import Mixture
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, Listening
@@ -43,7 +46,9 @@ def after(engine: EngineSettings, packets: int) -> IntensityBelief:
 
 @pytest.mark.parametrize("packets", [3, 8])
 def test_coarse_clouds_say_what_fine_ones_say(packets: int) -> None:
-    coarse, fine = (after(field(10.0, refine_points=most), packets) for most in (12, 2_000))
+    coarse, fine = (
+        after(field(10.0, refine_points=most, blurred_points=most), packets) for most in (12, 2_000)
+    )
     (one,), (other,) = coarse.candidates, fine.candidates
     assert one.spacing_m > 1.5 * other.spacing_m and len(one.points_m) < 0.5 * len(other.points_m)
     (rough,), (exact,) = coarse.sources(), fine.sources()
@@ -61,6 +66,17 @@ def test_ground_is_no_finer_than_hearing_over_such_ranges_is_sharp() -> None:
         assert ground.grid.n_cells < 15_000
         assert ground.of_field(np.zeros(ground.grid.shape)).shape == field(cell_m).grid.shape
     assert by_cell[5.0].factor == 3
+
+
+def test_points_are_refined_sooner_where_they_are_further_apart_than_hearing_is_sharp() -> None:
+    short = Antenna(2.53, -90.0 + 25.3 * float(np.log10(3.45)), 3.3, -90.0)
+    engines = field(5.0), replace(field(10.0), grid=Grid(50.0, 50.0, 0.5), antenna=short)
+    wide, sharp = (Mixture(engine) for engine in engines)
+    for mixture, few in ((wide, 100), (sharp, 300)):
+        cell_m = mixture.grid.cell_m
+        for count, is_due in ((few, True), (few + 1, False)):
+            cloud = SimpleNamespace(spacing_m=cell_m, points_m=np.zeros((count, 2)))
+            assert is_coarse(mixture, cloud) is is_due  # type: ignore[arg-type]
 
 
 def test_ground_in_small_cells_stays_where_ranges_are_short() -> None:

@@ -112,6 +112,17 @@ def new_candidate(
     )
 
 
+def is_coarse(mixture: "Mixture", candidate: Candidate) -> bool:
+    """Whether a candidate has become small enough for its points to be refined, and they are not yet.
+
+    Where hearing is sharper than their spacing that pays early: in the trust study, refined from 100 points on, four
+    sources took 793 s on average of 16 seeds, from 300 on 678 s.
+    """
+    tuning, spacing_m = mixture.tuning, candidate.spacing_m
+    few = tuning.blurred_points if spacing_m <= mixture.ground.blurred_m else tuning.refine_points
+    return spacing_m > 1.01 * tuning.fine_cells * mixture.field.cell_m and candidate.points_m.shape[0] <= few
+
+
 def refine(mixture: "Mixture", candidate: Candidate) -> None:
     """Give a candidate that has become small four points for each of its own; its responsibilities stay."""
     half = candidate.spacing_m / 2

@@ -24,6 +24,8 @@ class Ground:
     grid: Grid
     factor: int
     beyond: int
+    blurred_m: float
+    """Hearing is as blurred as this: points of a source nearer together say no more."""
 
     def of_field(self, values: FloatArray) -> FloatArray:
         """(..., n_north, n_east of the field) of values (..., n_north, n_east of the ground): that of its cell."""
@@ -62,17 +64,17 @@ def ground_of(settings: EngineSettings, most_cells: int) -> Ground:
     margin_m = float(np.max(settings.antenna.nominal_range_m(np.array(settings.power_levels_db))))
     margin_m = min(margin_m, MOST_SIDES * max(field.size_east_m, field.size_north_m))
     factor = 1
-    shortest_m = float(np.min(settings.antenna.nominal_range_m(np.array(settings.power_levels_db))))
+    blurred_m = BLURRED * float(np.min(settings.antenna.nominal_range_m(np.array(settings.power_levels_db))))
     while True:
         cell_m = factor * field.cell_m
         beyond = math.ceil(margin_m / cell_m)
         n_east = math.ceil(field.n_east / factor) + 2 * beyond
         n_north = math.ceil(field.n_north / factor) + 2 * beyond
-        cells, blurred = n_east * n_north, cell_m + field.cell_m <= BLURRED * shortest_m
+        cells, blurred = n_east * n_north, cell_m + field.cell_m <= blurred_m
         if factor > 64 or cells <= most_cells or (cells <= 2 * field.n_cells and not blurred):
             west_m = -beyond * cell_m
             grid = Grid(n_east * cell_m, n_north * cell_m, cell_m, west_m, west_m)
-            return Ground(field, grid, factor, beyond)
+            return Ground(field, grid, factor, beyond, blurred_m)
         factor += 1
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from fieldkit.engine.belief.intensity import hypotheses as hypotheses
 from fieldkit.engine.belief.intensity import loops
 from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
-from fieldkit.engine.belief.intensity.births import birth, claim_by_name, refine, remember_births
+from fieldkit.engine.belief.intensity.births import birth, claim_by_name, is_coarse, refine, remember_births
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, summarise
 from fieldkit.engine.belief.intensity.freezing import freeze
 from fieldkit.engine.belief.intensity.ground import ground_of
@@ -378,8 +378,7 @@ class Mixture:
         self.explained.update(zip(numbers, left.explained.tolist(), strict=True))
         for candidate in self.candidates:
             candidate.prune()
-            coarse = candidate.spacing_m > 1.01 * self.tuning.fine_cells * self.field.cell_m
-            if coarse and candidate.points_m.shape[0] <= self.tuning.refine_points:
+            if is_coarse(self, candidate):
                 refine(self, candidate)
                 self._summaries.pop(candidate.ident, None)
 
