@@ -21,6 +21,20 @@ def as_far2(flat2: float, ears: FloatArray, q: int) -> float:
 
 
 @njit(cache=True, nogil=True)
+def columns_within(
+    places: FloatArray, north: float, reach: float, columns: int, cell: float
+) -> tuple[int, int]:
+    """From which column on, and before which, the row at `north` is within reach of one of `places` (m, 2)."""
+    from_m, to_m = columns * cell, 0.0
+    for q in range(places.shape[0]):
+        room2 = reach * reach - (north - places[q, 1]) ** 2
+        if room2 > 0.0:
+            half = math.sqrt(room2)
+            from_m, to_m = min(from_m, places[q, 0] - half), max(to_m, places[q, 0] + half)
+    return max(0, int(math.floor(from_m / cell))), min(columns, int(math.floor(to_m / cell)) + 1)
+
+
+@njit(cache=True, nogil=True)
 def path_ground_gain(
     track: FloatArray,
     dt: float,
@@ -44,7 +58,6 @@ def path_ground_gain(
     m = track.shape[1]
     last = hear.shape[0] - 1
     per_step2 = 1.0 / step2
-    reach2 = reach * reach
     alike = True  # on the ground, with calibrated radios: no reason to ask at every cell
     for q in range(m):
         alike = alike and ears[q, 0] == 0.0 and ears[q, 1] == 1.0
@@ -59,15 +72,7 @@ def path_ground_gain(
         row1 = min(rows, int(math.floor((track[t, :, 1].max() + reach) / cell)) + 1)
         for r in range(row0, row1):
             north = (r + 0.5) * cell
-            # Beyond the reach of all of them in this row there is nothing to be heard.
-            from_m, to_m = columns * cell, 0.0
-            for q in range(m):
-                room2 = reach2 - (north - track[t, q, 1]) ** 2
-                if room2 > 0.0:
-                    half = math.sqrt(room2)
-                    from_m, to_m = min(from_m, track[t, q, 0] - half), max(to_m, track[t, q, 0] + half)
-            column0 = max(0, int(math.floor(from_m / cell)))
-            column1 = min(columns, int(math.floor(to_m / cell)) + 1)
+            column0, column1 = columns_within(track[t], north, reach, columns, cell)
             for c in range(column0, column1):
                 east = (c + 0.5) * cell
                 silent = 1.0
