@@ -183,6 +183,9 @@ def plot_scale(result: dict[str, Any], path: Path) -> None:
         for name, label in (("update_ms", "update"), ("plan_ms", "plan"), ("left_ms", "probability left")):
             axes.plot([row[axis] for row in rows], [row[name] for row in rows], marker="o", ms=4, label=label)
         axes.set(xscale="log", yscale="log", xlabel=axis)
+        values = [row[axis] for row in rows]
+        axes.set_xticks(values, [f"{value:,}" for value in values])
+        axes.minorticks_off()
         axes.grid(alpha=0.3, which="both")
     panels[0].set_ylabel("processor time, ms")
     panels[-1].legend(fontsize=8, frameon=False)
