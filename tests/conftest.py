@@ -33,13 +33,10 @@ LONG = tuple(
     for name in (
         "campaign_of_missions", "campaigns", "commands", "compare_beliefs", "fault_study", "pairs_apart", "placed",
         "reality_study", "refit", "replay", "report", "resume", "study_command", "systems", "walk", "what_if",
-        "flock", "agents_study", "apart", "collected", "bench_agents", "heights", "anything", "patterns",
-        "odd_files", "odd_arguments", "damage",
+        "bench_agents",
     )
 )  # fmt: skip
 """Tests that fly whole missions, or do one thing hundreds of times. What they reach, others reach too."""
-WHOLE = ("browser", "system", "consumer", "contract")
-"""Folders of tests that run the commands, mostly in processes of their own."""
 ENDING_S = 5.0
 """How long threads may take that were told to end: they poll a port or a socket."""
 
@@ -81,11 +78,11 @@ def nothing_is_left_running() -> Iterator[None]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Count coverage in the tests of parts alone: traced, whole missions take half as long again."""
+    """Count coverage only in short tests of the rooms it is stated for: traced, tests take up to half as long again."""
     if os.environ.get("FIELDKIT_COVERAGE") == "all":
         return
     for item in items:
-        if item.path.parent.name in WHOLE or item.path.stem in LONG:
+        if item.path.parent.name != "mission" or item.path.stem in LONG:
             item.add_marker(pytest.mark.no_cover)
 
 
