@@ -79,8 +79,8 @@ function due(what, now_ms) {
   return true;
 }
 
-/** @param {number} now_ms */
-function refresh(now_ms) {
+/** Shows what is new; whether a ring is still spreading. @param {number} now_ms */
+function show(now_ms) {
   if (model.version.side !== filled && model.frame && due("words", now_ms)) {
     filled = model.version.side;
     fill(); walk(); timeline(); listen();
@@ -91,9 +91,19 @@ function refresh(now_ms) {
   const asked = `${lookedAt()} ${pin.at} ${innerWidth} ${innerHeight} ${layer()} ${model.version.grids} ${area.drawing && now_ms}`;
   const stale = model.version.side !== drawn.side && due("map", now_ms);
   if (asked !== drawn.asked || stale || ring) { drawn = { asked, side: model.version.side }; draw(); }
-  coming = false;
-  clearTimeout(later);
-  later = setTimeout(lookAgain, ring ? EVERY_MS.ring : IDLE_MS);
+  return ring;
+}
+
+/** @param {number} now_ms */
+function refresh(now_ms) {
+  let ring = false;
+  try {
+    ring = show(now_ms);
+  } finally { // what fails once must not leave a page that stands still and looks like the present
+    coming = false;
+    clearTimeout(later);
+    later = setTimeout(lookAgain, ring ? EVERY_MS.ring : IDLE_MS);
+  }
 }
 
 // A browser that is asked for every frame works for each of them, also where nothing has changed: a look each 100 ms is
