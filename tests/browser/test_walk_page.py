@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 from flying import Flown, looking, wait_until
 
+from mission.page import serve
+
 PHONE = {"width": 390, "height": 844}
 
 
@@ -80,7 +82,8 @@ def test_a_turn_without_readings_claims_no_bearing_and_one_with_them_is_fitted(
     assert said.startswith("Bearing 12") or said.startswith("Bearing 11"), said
 
 
-def test_a_bearing_from_a_whole_turn_is_recorded_as_a_persons_word(tab: Any, walking: Flown) -> None:
+def turn_round(tab: Any, walking: Flown) -> None:
+    """Twelve readings over a whole turn, the strongest at 120 degrees, and the fitted bearing in words."""
     tab.locator("#walk-turn").click()
     for number in range(12):
         heading = 30.0 * number
@@ -98,12 +101,32 @@ def test_a_bearing_from_a_whole_turn_is_recorded_as_a_persons_word(tab: Any, wal
         )
     tab.locator("#walk-turn").click()
     tab.wait_for_function("() => document.getElementById('walk-bearing').textContent.startsWith('Bearing 1')")
+
+
+def test_a_bearing_from_a_whole_turn_is_recorded_as_a_persons_word(tab: Any, walking: Flown) -> None:
+    turn_round(tab, walking)
     wait_until(lambda: walking.asked("bearing", "r1"))
     (taken,) = [event for event in walking.operated if event.action == "bearing"]
     bearing_deg, off_deg = map(
         float, re.findall(r"\d+", taken.reason)[:2]
     )  # few readings a turn on a busy machine
     assert abs(bearing_deg - 120.0) <= max(off_deg, 1.0), taken.reason
+
+
+def test_a_bearing_that_is_refused_goes_with_one_more_press(
+    tab: Any, walking: Flown, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(serve, "_why_nowhere", lambda runner, robot: "its last position is 9 s old")
+        turn_round(tab, walking)
+        tab.wait_for_function(
+            "() => document.getElementById('walk-turn').textContent === 'Send the bearing again'"
+        )
+        assert "9 s old" in tab.inner_text("#notice") and not walking.asked("bearing", "r1")
+    tab.locator("#walk-turn").click()
+    wait_until(lambda: walking.asked("bearing", "r1"))
+    tab.wait_for_function("() => document.getElementById('notice').hidden")
+    assert tab.inner_text("#walk-turn") == "Turn for a bearing"
 
 
 def test_one_hand_reaches_everything_and_nothing_is_cut_off(tab: Any, walking: Flown) -> None:
