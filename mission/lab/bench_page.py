@@ -76,7 +76,7 @@ def _feed(shown: serve.LivePage, over: threading.Event) -> None:
     rng = np.random.default_rng(1)
     robots = shown.follower.view.mission.kernel.engine.robots
     places = rng.uniform(1.0, 9.0, (len(robots), 2))
-    number = 0
+    number, began_s = 0, wall_s()
     while not over.is_set():
         t_ns = number * STEP_NS
         places = np.clip(places + rng.normal(0.0, 0.1, places.shape), 0.3, 9.7)
@@ -88,7 +88,7 @@ def _feed(shown: serve.LivePage, over: threading.Event) -> None:
         shown.follower.sources(number, t_ns, _candidates(rng))
         shown.follower.event(number, t_ns, Tick(t_ns))
         number += 1
-        over.wait(1.0 / UPDATES_HZ)
+        over.wait(max(0.0, began_s + number / UPDATES_HZ - wall_s()))
 
 
 def _candidates(rng: np.random.Generator) -> list[SourceEstimate]:

@@ -402,6 +402,9 @@ function drawMeasure() {
   halo(said(from, to), (x + x2) / 2, (y + y2) / 2 - 8, css.text, `700 13px ${FONT}`);
 }
 
+/** @param {string} id @param {string} text */
+function write(id, text) { if ($(id).textContent !== text) $(id).textContent = text; }
+
 export function draw() {
   if (!model.hello || canvas.clientWidth === 0) return;
   fitCanvas(canvas, pen);
@@ -423,10 +426,10 @@ export function draw() {
   drawMeasure();
   drawNorthAndScale();
   const grid = shownGrid(layer);
-  $("credit").textContent = model.hello.background?.credit ?? "";
-  $("legend").textContent = !grid ? "" : layer === "belief"
+  write("credit", model.hello.background?.credit ?? "");
+  write("legend", !grid ? "" : layer === "belief"
     ? `source in a cell: up to ${+(100 * grid.largest).toPrecision(2)} %`
-    : "a source there would have been heard";
+    : "a source there would have been heard");
 }
 
 const HIT_PX = 16;
