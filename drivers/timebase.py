@@ -18,6 +18,8 @@ INCONSISTENT = 5
 """Messages in a row that must be late by so much."""
 CLOCK_JUMP_NS = 5_000_000_000
 """A device's clock and ours may not part further than this between two messages: else it was set, or started anew."""
+STILL_NS = 1_000_000_000
+"""Messages that say one time while so much of ours goes by come from a clock that stands still."""
 
 
 class TimeBase:
@@ -62,10 +64,17 @@ class DeviceStamps:
         self._time = TimeBase()
         self._last_ns: tuple[int, int] | None = None
         self._stamp_ns = 0
+        self._shown_ns = (0, 0)
+        """What the device's clock shows, and when a message first came that said so."""
 
     def of(self, device_ns: int | None, arrival_ns: int) -> int:
-        """Of a message stamped `device_ns` by its device; its arrival where the device stamps nothing."""
-        if device_ns is None:
+        """Of a message stamped `device_ns`; its arrival where it stamps nothing or its clock stands still.
+
+        A clock that is never set may stand still for good: by it all that is heard belonged to where the first was.
+        """
+        if device_ns is not None and device_ns != self._shown_ns[0]:
+            self._shown_ns = device_ns, arrival_ns
+        if device_ns is None or arrival_ns - self._shown_ns[1] > STILL_NS:
             self._stamp_ns = max(arrival_ns, self._stamp_ns)
             return self._stamp_ns
         if self._last_ns is not None:

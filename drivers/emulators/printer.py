@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 
 Style = Callable[["PrintingRadio", float, str, int], str]
 """A line from received power, the sender's name and the packet's number."""
@@ -11,6 +12,11 @@ Style = Callable[["PrintingRadio", float, str, int], str]
 def _mac(sender: str) -> str:
     number = int.from_bytes(sender.encode()[-6:].rjust(6, b"\x02"), "big")
     return ":".join(f"{byte:02x}" for byte in number.to_bytes(6, "big"))
+
+
+def _utc(radio: "PrintingRadio") -> str:
+    time = datetime.fromtimestamp(radio.now_us() / 1e6, UTC)
+    return time.strftime("%Y-%m-%d %H:%M:%S.") + f"{time.microsecond // 1000:03d}"
 
 
 def _meshtastic(radio: "PrintingRadio", rss: float, sender: str, number: int) -> str:
@@ -39,9 +45,7 @@ STYLES: dict[str, Style] = {
     "rak": lambda radio, rss, sender, number: f"+EVT:RXP2P:{round(rss)}:11:48656C6C6F",
     "lora-e5": lambda radio, rss, sender, number: f"+TEST: LEN:5, RSSI:{round(rss)}, SNR:10",
     "rtl_433": _rtl_433,
-    "ctt": lambda radio, rss, sender, number: (
-        f"2021-03-01 14:03:12.312,4,{sender.upper():>08},{round(rss)},,0"
-    ),
+    "ctt": lambda radio, rss, sender, number: f"{_utc(radio)},4,{sender.upper():>08},{round(rss)},,0",
 }
 """By the name of the map that reads them."""
 

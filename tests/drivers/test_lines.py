@@ -15,6 +15,7 @@ from drivers.lines.mapping import Heard, LineMap, NoReadingError
 from drivers.lines.maps import MAPS
 from drivers.lines.propose import propose
 from drivers.lines.receiver import LONGEST_LINE, LinesOptions, LineSplitter, map_of, open_receiver
+from drivers.timebase import DeviceStamps
 from fieldkit.engine.association.detections import Associator
 from fieldkit.errors import ConfigError
 from fieldkit.messages import Pose, RssReading
@@ -75,6 +76,25 @@ def test_what_an_emulated_radio_prints_is_read_by_the_map_of_its_name(name: str)
     line = (PrintingRadio(lambda: 0, name).hear(-77.0, 0xBEEF, b"") or b"").decode()
     heard = MAPS[name].read(line.strip())
     assert heard is not None and heard.rss_dbm == -77.0
+
+
+def test_an_emulated_stations_clock_goes() -> None:
+    radio = PrintingRadio(iter([1_614_607_392_312_000, 1_614_607_395_712_000]).__next__, "ctt")
+    first, second = [MAPS["ctt"].read((radio.hear(-77.0, 1, b"") or b"").decode().strip()) for _ in range(2)]
+    assert first is not None and second is not None
+    assert (first.time_s, second.time_s) == (1614607392.312, 1614607395.712)
+
+
+def test_a_clock_that_stands_still_says_nothing_of_when_a_line_was_heard() -> None:
+    stamps, second_ns = DeviceStamps(), 1_000_000_000
+    arrivals = [1_700_000_000 * second_ns + s * second_ns for s in range(0, 40, 2)]
+    assert [stamps.of(1_614_607_392_312_000_000, t) for t in arrivals] == arrivals
+    # Two that were held back by the link belong together all the same, and a clock that goes again counts again.
+    assert (
+        stamps.of(1_614_607_500_000_000_000, arrivals[-1] + 10 * second_ns) == arrivals[-1] + 10 * second_ns
+    )
+    late_ns = arrivals[-1] + 12 * second_ns
+    assert stamps.of(1_614_607_501_000_000_000, late_ns) == late_ns - second_ns
 
 
 @pytest.mark.parametrize(
