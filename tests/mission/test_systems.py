@@ -61,6 +61,7 @@ SYSTEMS = [
     ),
     System("rwa, three robots", {"belief": "spog", "planner": "rwa", "prior_rule": "em"}, 3),
     System("dprwa", {**PAIRWISE, "planner": "dprwa"}),
+    System("dprwa-apart", {**PAIRWISE, "planner": "dprwa-apart"}),
     System("dprwa in groups", {**PAIRWISE, "planner": "dprwa", "group_gap_m": 3.0}),
     System("dprwa, an odd robot", {**PAIRWISE, "planner": "dprwa"}, robots=3),
     System("csma-pf", {"belief": "csma-pf", "planner": "probable"}, 1, AntennaFile(FAR)),
