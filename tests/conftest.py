@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
+from sizes import size
 
 from fieldkit.cli import BLAS_THREADS
 
@@ -15,7 +16,7 @@ for _name in BLAS_THREADS:  # as the command does, and before anything loads num
     os.environ.setdefault(_name, "1")
 
 # The same examples in each run: a commit passes or fails, and does not do both. HYPOTHESIS=explore draws others.
-settings.register_profile("fieldkit", deadline=None, derandomize=True)
+settings.register_profile("fieldkit", deadline=None, derandomize=True, max_examples=size(50, 100))
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS", "fieldkit"))
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from sizes import size
 from typer.testing import CliRunner
 
 from fieldkit.cli import build
@@ -94,7 +95,9 @@ def test_an_odd_file_is_refused_in_words(folder: Path, tmp_path: Path, command: 
 
 
 @pytest.mark.parametrize("command", [each for each in COMMANDS if each.startswith(("log", "rep", "comp"))])
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=size(4, 12), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_a_damaged_recording_is_read_or_refused_in_words(
     tmp_path: Path, whole: bytes, command: str, data: st.DataObject

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sizes import size
 from typer.testing import CliRunner
 
 from calibration import families, patterns
@@ -115,12 +116,13 @@ def test_the_gains_error_is_how_much_the_gain_differs_from_set_to_set():
 def test_with_a_pattern_the_intervals_still_hold_the_truth(name):
     shape = SHAPES[name]
     covered = []
-    for seed in range(14):
+    seeds = size(5, 14)
+    for seed in range(seeds):
         result, _ = patterns.fit_pattern(turned(shape, seed, n=60, packets=5), family=name)
         low, high = result.intervals_95["path_loss_exponent"]
         covered.append(low <= ANTENNA.path_loss_exponent <= high)
-    # 95 % of 14: fewer than 11 happen once in 250 times.
-    assert sum(covered) >= 11
+    # 95 % of 14: fewer than 11 happen once in 250 times; of 5, fewer than 3 once in 860.
+    assert sum(covered) >= {5: 3, 14: 11}[seeds]
 
 
 def test_not_knowing_the_pattern_widens_the_intervals():

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
+from sizes import size
 
 from fieldkit.engine.decentralised import packing
 from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, TICK_NS, Entry, Logs, Part, Stream
@@ -196,7 +197,7 @@ def whole(team: dict[str, Talk]) -> bool:
     return all(talk.logs.entries == own for talk in team.values())
 
 
-@budget(max_examples=10, deadline=None)
+@budget(max_examples=size(5, 10), deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     loss=st.sampled_from([0.0, 0.3, 0.5]),

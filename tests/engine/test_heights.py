@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sizes import size
 
 from fieldkit.channel.antenna_file import Receiver
 from fieldkit.channel.model import Antenna
@@ -223,7 +224,7 @@ def flown(seed: int, *, up_m: tuple[float, ...], side_m: float, power_dbm: float
     return simulate(kernel, truth, seed)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", size([2], [1, 2]))
 def test_rovers_and_copters_at_two_heights_find_what_is_on_the_ground(seed: int) -> None:
     sources = ((12.0, 28.0), (30.0, 14.0), (21.0, 21.0))
     result = flown(

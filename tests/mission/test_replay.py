@@ -9,16 +9,21 @@ from fieldkit.errors import RecordingError, ReplayMismatch
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.rewrite import rewrite
 from mission.lab.synthetic import record_simulated
-from mission.replay.replay import recorded_mission, replay, what_if
+from mission.replay.replay import Replayed, recorded_mission, replay, what_if
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return record_simulated(tmp_path_factory.mktemp("log"), seed=2, duration_s=150.0)
+    return record_simulated(tmp_path_factory.mktemp("log"), seed=2, duration_s=120.0)
 
 
-def test_a_whole_recording_gives_the_same_belief_and_commands(log: Path) -> None:
-    done = replay(log)
+@pytest.fixture(scope="module")
+def whole(log: Path) -> Replayed:
+    return replay(log)
+
+
+def test_a_whole_recording_gives_the_same_belief_and_commands(log: Path, whole: Replayed) -> None:
+    done = whole
     result = open_recording(log).result()
     assert result is not None
     assert done.complete
@@ -28,13 +33,15 @@ def test_a_whole_recording_gives_the_same_belief_and_commands(log: Path) -> None
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
-def test_a_cut_recording_replays_as_far_as_it_goes(log: Path, tmp_path: Path, share: float) -> None:
+def test_a_cut_recording_replays_as_far_as_it_goes(
+    log: Path, whole: Replayed, tmp_path: Path, share: float
+) -> None:
     cut = tmp_path / "cut.mcap"
     data = log.read_bytes()
     cut.write_bytes(data[: int(share * len(data))])
     done = replay(cut)
     assert not done.complete and done.missing
-    assert 0 < done.events < replay(log).events
+    assert 0 < done.events < whole.events
 
 
 def test_another_antenna_is_noticed_and_the_event_named(log: Path, tmp_path: Path) -> None:
@@ -46,10 +53,10 @@ def test_another_antenna_is_noticed_and_the_event_named(log: Path, tmp_path: Pat
         replay(log, mission=mission)
 
 
-def test_another_engine_is_a_what_if(log: Path) -> None:
+def test_another_engine_is_a_what_if(log: Path, whole: Replayed) -> None:
     mission = what_if(recorded_mission(open_recording(log)), belief="spog", planner="prwa")
     done = replay(log, mission=mission, check=False)
-    assert done.kernel.detections == replay(log).kernel.detections
+    assert done.kernel.detections == whole.kernel.detections
 
 
 def test_until_stops_early(log: Path) -> None:

@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,14 @@ from mission.lab.synthetic import record_simulated, small_mission
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return record_simulated(tmp_path_factory.mktemp("log"), seed=2, duration_s=300.0)
+    return record_simulated(tmp_path_factory.mktemp("log"), seed=2, duration_s=200.0)
+
+
+@pytest.fixture(scope="module")
+def written(log: Path) -> tuple[dict[str, Any], str]:
+    """What its report says as data, and the page."""
+    path = log.with_name("report.html")
+    return write_report(log, path), path.read_text()
 
 
 class Page(HTMLParser):
@@ -49,9 +57,11 @@ class Page(HTMLParser):
         self.words += data
 
 
-def test_the_page_says_what_was_found_and_fetches_nothing(log: Path, tmp_path: Path) -> None:
-    said = write_report(log, tmp_path / "report.html")
-    page = Page((tmp_path / "report.html").read_text())
+def test_the_page_says_what_was_found_and_fetches_nothing(
+    log: Path, written: tuple[dict[str, Any], str]
+) -> None:
+    said, text = written
+    page = Page(text)
     assert page.fetched == []
     result = open_recording(log).result()
     assert f"heard {result['detections']} transmission" in page.words and "searched" in page.words
@@ -61,9 +71,10 @@ def test_the_page_says_what_was_found_and_fetches_nothing(log: Path, tmp_path: P
         assert f"Source {source['ident']}" in page.words
 
 
-def test_refined_places_are_where_the_sources_are(log: Path, tmp_path: Path) -> None:
+def test_refined_places_are_where_the_sources_are(log: Path, written: tuple[dict[str, Any], str]) -> None:
     history = read_history(log)
-    for source in write_report(log, tmp_path / "r.html")["refined"]:
+    assert written[0]["refined"]
+    for source in written[0]["refined"]:
         off = min(
             ((source["east_m"] - t["east_m"]) ** 2 + (source["north_m"] - t["north_m"]) ** 2) ** 0.5
             for t in history.truth
@@ -149,7 +160,9 @@ def test_shares_of_a_robots_time_make_a_whole(log: Path) -> None:
     assert sum(history.readings.values()) == len(readings)
 
 
-def test_what_people_said_stands_apart_from_what_was_found(log: Path, tmp_path: Path) -> None:
+def test_what_people_said_stands_apart_from_what_was_found(
+    log: Path, written: tuple[dict[str, Any], str], tmp_path: Path
+) -> None:
     path = tmp_path / "mission.mcap"
     whole = open_recording(log)
     with RecordingWriter(path, mission_toml=whole.mission_toml, antenna_toml=whole.antenna_toml) as writer:
@@ -165,13 +178,11 @@ def test_what_people_said_stands_apart_from_what_was_found(log: Path, tmp_path: 
     words = Page(page.read_text()).words
     assert "What people said" in words and "a transmitter is here" in words and "bearing 123 degrees" in words
     assert said["found"] == 0, "a word finds nothing"
-    write_report(log, page)
-    assert "What people said" not in Page(page.read_text()).words
+    assert "What people said" not in Page(written[1]).words
 
 
-def test_the_first_page_says_where_and_what_next(log: Path, tmp_path: Path) -> None:
-    write_report(log, tmp_path / "report.html")
-    text = (tmp_path / "report.html").read_text()
+def test_the_first_page_says_where_and_what_next(log: Path, written: tuple[dict[str, Any], str]) -> None:
+    text = written[1]
     front = Page(text[text.index('<section class="front">') : text.index("</section>")])
     history = read_history(log)
     assert history.found and "What to do next" in front.words

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sizes import size
 
 from fieldkit import plugins
 from fieldkit.channel.antenna_file import AntennaFile
@@ -89,7 +90,7 @@ def test_it_flies_hears_and_replays_bit_for_bit(system: System, tmp_path: Path) 
     log = record_simulated(
         tmp_path,
         seed=2,
-        duration_s=150.0,
+        duration_s=size(60.0, 150.0),
         robots=system.robots,
         sources_found=9,
         engine=system.engine,
