@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sizes import size
 
 from fieldkit.channel.spread import assumed, known_power
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
@@ -38,7 +39,7 @@ def searched(source: tuple[float, float], seed: int, rounds: int = 120) -> Inten
     return belief
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", size([1], [1, 2, 3]))
 def test_a_source_two_metres_outside_is_said_to_be_outside(seed: int) -> None:
     belief = searched((14.0, 6.0), seed)
     heard = [each for each in belief.sources() if each.receptions > 2.5]
@@ -48,14 +49,14 @@ def test_a_source_two_metres_outside_is_said_to_be_outside(seed: int) -> None:
     assert belief.probability_left() < 0.3  # it is none of the field's own
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", size([1], [1, 2, 3]))
 def test_a_source_just_inside_is_found_inside(seed: int) -> None:
     belief = searched((11.0, 6.0), seed)
     (found,) = [each for each in belief.sources() if each.state == "found"]
     assert np.hypot(found.east_m - 11.0, found.north_m - 6.0) < 1.0
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", size([1, 3], [1, 2, 3, 4]))
 def test_a_source_on_the_border_is_found_and_not_outside(seed: int) -> None:
     belief = searched((12.0, 6.0), seed)
     heard = [each for each in belief.sources() if each.receptions > 2.5]

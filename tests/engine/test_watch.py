@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sizes import size
 
 from fieldkit.channel.model import Antenna
 from fieldkit.channel.spread import assumed
@@ -35,7 +36,7 @@ def heard(
     return belief, said
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(size(2, 6)))
 def test_nothing_is_said_of_receivers_that_are_alike(seed: int) -> None:
     assert heard(seed)[1] == []
 
@@ -61,7 +62,7 @@ def standing(seed: int, *, place_db: float = 5.0, packets: int = 80):
     return belief, said
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(size(4, 12)))
 def test_a_place_is_not_taken_for_the_receivers_that_stand_there(seed: int) -> None:
     belief, said = standing(seed)
     assert not any("are taken off its readings" in text for text in said)
