@@ -49,14 +49,14 @@ kernels: $(VENV)/.installed-dev
 # what the others reach counts in 'make coverage' alone.
 test: $(VENV)/.installed-dev
 	$(MAKE) --jobs 2 lint kernels
-	$(BIN)/pytest -n 3 --dist loadfile --cov --cov-report=
+	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder --cov --cov-report=
 	@echo "reached by short tests of missions, of the lines and branches of what decides in a mission, in per cent:"
 	$(BIN)/coverage report --include='mission/core/*,mission/safety/*' --fail-under=$(CORE_FLOOR)
 	@echo "and of everything:"
 	$(BIN)/coverage report --format=total --fail-under=$(PARTS_FLOOR)
 
 coverage: $(VENV)/.installed-dev
-	FIELDKIT_COVERAGE=all $(BIN)/pytest -n 3 --dist loadfile --cov --cov-report=
+	FIELDKIT_COVERAGE=all $(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder --cov --cov-report=
 	@echo "reached by all tests, of all lines and branches, in per cent:"
 	$(BIN)/coverage report --format=total --fail-under=$(FLOOR)
 

@@ -4,7 +4,9 @@ import asyncio
 import os
 import threading
 from asyncio import runners
+from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -38,6 +40,7 @@ LONG = tuple(
     )
 )  # fmt: skip
 """Tests that fly whole missions, or do one thing hundreds of times. What they reach, others reach too."""
+SLOW_ROOMS = ("browser", "mission", "system")
 ENDING_S = 5.0
 """How long threads may take that were told to end: they poll a port or a socket."""
 
@@ -78,7 +81,28 @@ def nothing_is_left_running() -> Iterator[None]:
         pytest.fail(f"the test leaves threads running: {', '.join(alive)}")
 
 
+def _longest_first(items: list[pytest.Item]) -> None:
+    """Files of the rooms that wait for wires, browsers and whole missions come first, the rooms by turns.
+
+    What is short comes last, so that several processes of tests end together.
+    """
+    places: dict[Path, int] = {}
+    of_room: Counter[str] = Counter()
+    for item in items:
+        if item.path not in places:
+            room = item.path.parent.name
+            places[item.path] = of_room[room] if room in SLOW_ROOMS else len(items)
+            of_room[room] += 1
+    items.sort(key=lambda item: places[item.path])
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The order of the tests, and which of them coverage is counted in."""
+    _longest_first(items)
+    _count_coverage(items)
+
+
+def _count_coverage(items: list[pytest.Item]) -> None:
     """Count coverage only in short tests of the rooms it is stated for: traced, tests take up to half as long again."""
     if os.environ.get("FIELDKIT_COVERAGE") == "all":
         return

@@ -10,6 +10,7 @@ from urllib.error import HTTPError
 
 import pytest
 from flying import found_wrong, looking
+from sizes import size
 
 from fieldkit.errors import DataError
 from fieldkit.recording.reader import open_recording
@@ -29,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     top = tmp_path_factory.mktemp("runs")
     for name in ("whole", "cut", "none"):
         (top / name).mkdir()
-    data = record_simulated(top / "whole", duration_s=100.0).read_bytes()
+    data = record_simulated(top / "whole", duration_s=size(40.0, 100.0)).read_bytes()
     (top / "cut" / "mission.mcap").write_bytes(data[: len(data) // 2])
     (top / "none" / "mission.mcap").write_text("hello\n")
     return top
@@ -58,7 +59,7 @@ def test_each_is_a_line_and_the_one_chosen_opens(browser: Any, page: Page, folde
         tab.click("text=whole/mission.mcap")
         tab.wait_for_selector("#files", state="attached", timeout=60_000)
         tab.set_viewport_size({"width": 1440, "height": 860})
-        with tab.expect_download(timeout=120_000) as download:
+        with tab.expect_download(timeout=240_000) as download:
             tab.click("#files >> text=report")
         assert "What was found" in Path(download.value.path()).read_text()
 
