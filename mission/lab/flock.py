@@ -114,13 +114,13 @@ class Flock:
         """To the end of everybody's mission, or for `most_s`."""
         covered: dict[int, float] = {}
         self.begin()
-        oldest, nearest_m, merged_s = 0, math.inf, None
+        oldest_s, nearest_m, merged_s = 0.0, math.inf, None
         while len(self.ended.keys() | self.lost) < len(self.agents) and self.world.t_s < most_s:
             self.step()
             living = [agent for name, agent in self.agents.items() if name not in self.lost]
             for agent in living:
                 note_covered(agent.line.kernel, self.truth, self.world.t_s, covered)
-            oldest = max(oldest, *(self._lag(name) for name in self.agents if name not in self.lost))
+            oldest_s = max(oldest_s, *(self.lag_s(name) for name in self.agents if name not in self.lost))
             nearest_m = min(nearest_m, self._nearest_m())
             if merged_s is None and self.world.t_s >= self.air.cut_s[1]:
                 end_tick = (START_NS + round(self.air.cut_s[1] * 1e9)) // round(given.TICK_S * 1e9)
@@ -136,7 +136,7 @@ class Flock:
             self.agrees(),
             len(self.seen),
             {name: sent / max(self.world.t_s, 1e-9) for name, sent in self.network.carried.items()},
-            oldest * given.TICK_S,
+            oldest_s,
             merged_s,
             nearest_m,
             self.ordered_too_near,
@@ -261,13 +261,12 @@ class Flock:
             self.ordered_too_near += any(ever_m(path, other) < self.limits.near_m for other in others)
         self._ordered.clear()
 
-    def _lag(self, name: str) -> int:
+    def lag_s(self, name: str) -> float:
+        """How far a robot's common line lies back; 0 before there is one."""
         agent = self.agents[name]
-        return (
-            0
-            if agent.common.horizon < 0
-            else self.now_ns(name) // round(given.TICK_S * 1e9) - agent.common.horizon
-        )
+        if agent.common.horizon < 0:
+            return 0.0
+        return (self.now_ns(name) // round(given.TICK_S * 1e9) - agent.common.horizon) * given.TICK_S
 
     def _nearest_m(self) -> float:
         places = [(rover.east_m, rover.north_m) for rover in self.world.rovers.values()]

@@ -45,6 +45,28 @@ def test_times_are_compared_on_the_seeds_on_which_both_found_all(monkeypatch: py
     assert summarise([row(0, None)])["mean_time_s"] is None
 
 
+def test_a_scenario_named_in_full_is_run_alone_and_eight_are_compared_with_eight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    jobs: list[Job] = []
+
+    def flown(trial: object, wanted: list[Job], progress: object, **how: object) -> list[dict[str, Any]]:
+        jobs[:] = wanted
+        return [row(job.seed, 100.0 if job.scenario.name.endswith("computer") else 80.0) for job in wanted]
+
+    monkeypatch.setattr("mission.lab.study.scenarios.run_trials", flown)
+    agents.run(2, 0, lambda share, text: None, only="30 % lost")
+    assert [(job.scenario.name, job.seed) for job in jobs] == [("30 % lost", 0), ("30 % lost", 1)]
+    told = agents.run(1, 0, lambda share, text: None, only="eight robots")["scenarios"]
+    assert told["eight robots, full contact"]["times_central"] == 0.8
+    assert {job.scenario.robots for job in jobs} == {8}
+
+
+def test_eight_robots_are_a_trial_too() -> None:
+    told = trial(Job(scenario("eight robots, full contact"), 1, most_s=5.0))
+    assert told["same"] and told["compared"] >= 8 and told["nearest_m"] > 1.0
+
+
 @pytest.mark.parametrize(
     "kill",
     [

@@ -7,6 +7,7 @@ from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.walks import PairPatrol, Patrol
 from fieldkit.engine.settings import EngineSettings
+from fieldkit.errors import ConfigError
 from mission.lab.study import prwa, rwa
 from mission.lab.study.experiment import Experiment, Job, key, plot, run, summarise, table_csv
 from mission.lab.study.packets import transmissions
@@ -41,6 +42,18 @@ def test_a_result_says_every_trial_and_can_be_drawn(tmp_path) -> None:  # type: 
     assert len(lines) == 1 + 2 * 2 * 3 and lines[0].startswith("method,x,seed,value")
     plot(result, tmp_path / "fake.png")
     assert (tmp_path / "fake.png").stat().st_size > 5000
+
+
+def test_of_an_experiment_the_points_that_are_named_are_run(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    result = run(EXPERIMENT, 2, 0, quiet, workers=1, only="one, 2")
+    assert result["scenarios"].keys() == {key("one", 2.0)} and len(result["trials_table"]) == 2
+    some = run(EXPERIMENT, 2, 0, quiet, workers=1, only="o")
+    assert some["methods"] == ["one", "other"] and some["xs"] == [1.0, 2.0]
+    del some["scenarios"][key("other", 1.0)]
+    plot(some, tmp_path / "some.png")
+    assert (tmp_path / "some.png").stat().st_size > 5000
+    with pytest.raises(ConfigError, match=r"no point has 'two'.*points are: one, 1; other, 1; one, 2"):
+        run(EXPERIMENT, 2, 0, quiet, only="two")
 
 
 def test_every_method_meets_the_same_packets() -> None:

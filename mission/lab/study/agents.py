@@ -1,8 +1,8 @@
 """A team without a common computer against one computer, on the same seeds: finds, times, agreement, traffic.
 
-Four robots in two pairs look for three sources in a field of 16 m, each by its own agent over a simulated network;
-radios and sources are those of the trust study. What one computer would have believed is worked out from the same logs
-afterwards, and compared by its hash.
+Four robots in two pairs, or eight in four, look for three sources in a field of 16 m, each by its own agent over a
+simulated network; radios and sources are those of the trust study. What one computer would have believed is worked out
+from the same logs afterwards, and compared by its hash.
 """
 
 import math
@@ -27,8 +27,9 @@ from mission.safety.rules import Safety
 
 FIELD_M, MOST_S = 16.0, 3_000.0
 ROBOTS, SOURCES = ("r0", "r1", "r2", "r3"), 3
-STARTS_M = ((2.0, 1.0), (4.0, 1.0), (12.0, 1.0), (14.0, 1.0))
-CENTRAL = "one computer"
+STARTS_M = {4: (2.0, 4.0, 12.0, 14.0), 8: (1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0)}
+"""Number of robots to where they stand in a row, east; all 1 m north."""
+CENTRAL, CENTRAL_EIGHT = "one computer", "eight robots, one computer"
 AIR = Air()
 """Everybody hears everybody, 50 ms late."""
 
@@ -48,6 +49,8 @@ class Scenario:
     """Short trials of `mission.lab.study.killed` instead: somebody dies at any time, and half come back."""
     away_s: float | None = None
     """An agent of those is back after this time instead."""
+    robots: int = len(ROBOTS)
+    """In pairs."""
 
 
 HALVES = frozenset(ROBOTS[:2])
@@ -64,6 +67,9 @@ SCENARIOS = (
     ),
     Scenario("clocks 2 s apart", clock_s=(0.0, 2.0, -2.0, 0.5)),
     Scenario("one agent dies after 100 s", killed_s=100.0),
+    Scenario(CENTRAL_EIGHT, robots=8),
+    Scenario("eight robots, full contact", robots=8),
+    Scenario("eight robots, contact within 6 m", Air(range_m=6.0), contact_m=6.0, robots=8),
     Scenario("killed", kills=True),
     Scenario("back after an hour", kills=True, away_s=3_600.0),
 )
@@ -78,10 +84,11 @@ class Job:
     most_s: float = MOST_S
 
 
-def kernel_settings(seed: int, most_s: float) -> KernelSettings:
+def kernel_settings(seed: int, most_s: float, robots: int) -> KernelSettings:
     """What every agent, or the one computer, is given."""
     grid = Grid(FIELD_M, FIELD_M, CELL_M)
-    engine = replace(trust_settings(seed), grid=grid, teams=(ROBOTS[:2], ROBOTS[2:]), expected_sources=3.0)
+    teams = tuple((f"r{k}", f"r{k + 1}") for k in range(0, robots, 2))
+    engine = replace(trust_settings(seed), grid=grid, teams=teams, expected_sources=3.0)
     return KernelSettings(engine, max_duration_s=most_s, sources_expected=SOURCES)
 
 
@@ -109,10 +116,12 @@ def trial(job: Job) -> dict[str, Any]:
     """One mission of a scenario."""
     if job.scenario.kills:
         return killed.trial(job.seed, job.scenario.away_s)
-    kernel, scenario = kernel_settings(job.seed, job.most_s), job.scenario
-    truth = Truth(antenna(), hidden(job.seed), STARTS_M, max_speed_m_s=kernel.engine.max_speed_m_s)
+    scenario = job.scenario
+    kernel = kernel_settings(job.seed, job.most_s, scenario.robots)
+    start_m = tuple((east_m, 1.0) for east_m in STARTS_M[scenario.robots])
+    truth = Truth(antenna(), hidden(job.seed), start_m, max_speed_m_s=kernel.engine.max_speed_m_s)
     safety = safety_settings(kernel)
-    if scenario.name == CENTRAL:
+    if scenario.name in (CENTRAL, CENTRAL_EIGHT):
         judge = Safety(safety)
         result = simulate(
             kernel, truth, job.seed,
@@ -180,9 +189,10 @@ def run(
         only=only, **how,
     )  # fmt: skip
     told = result["scenarios"]
-    if CENTRAL in told:
-        for row in (each for each in told.values() if "times_s" in each):
-            row["times_central"] = _against(row["times_s"], told[CENTRAL]["times_s"])
+    for scenario in SCENARIOS:
+        row, central = told.get(scenario.name), told.get(CENTRAL_EIGHT if scenario.robots == 8 else CENTRAL)
+        if row is not None and central is not None and "times_s" in row:
+            row["times_central"] = _against(row["times_s"], central["times_s"])
     return result
 
 

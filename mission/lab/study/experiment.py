@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fieldkit.errors import ConfigError
 from mission.lab.study.pool import Progress, run_trials
 
 
@@ -50,9 +51,17 @@ class Experiment:
         ]
 
 
-def run(experiment: Experiment, trials: int, seed: int, progress: Progress, **how: Any) -> dict[str, Any]:
-    """All trials and their summary; `how` goes to `run_trials` (workers, kept, dask)."""
-    jobs = experiment.jobs(trials, seed)
+def run(
+    experiment: Experiment, trials: int, seed: int, progress: Progress, *, only: str = "", **how: Any
+) -> dict[str, Any]:
+    """Trials and their summary, of the points whose name ("method, x") contains `only`.
+
+    `how` goes to `run_trials` (workers, kept, dask). Raises `ConfigError` where no point has that name.
+    """
+    jobs = [job for job in experiment.jobs(trials, seed) if only in key(job.method, job.x)]
+    if not jobs:
+        names = "; ".join(key(method, x) for x in experiment.xs for method in experiment.methods)
+        raise ConfigError(f"study {experiment.name}: no point has {only!r} in its name; points are: {names}")
     rows = run_trials(experiment.trial, jobs, progress, **how)
     grouped: dict[str, list[dict[str, Any]]] = {}
     for job, row in zip(jobs, rows, strict=True):
@@ -64,8 +73,8 @@ def run(experiment: Experiment, trials: int, seed: int, progress: Progress, **ho
         "seed": seed,
         "x_label": experiment.x_label,
         "y_label": experiment.y_label,
-        "methods": list(experiment.methods),
-        "xs": list(experiment.xs),
+        "methods": [method for method in experiment.methods if any(job.method == method for job in jobs)],
+        "xs": [x for x in experiment.xs if any(job.x == x for job in jobs)],
         "scenarios": {name: summarise(group, experiment.cap) for name, group in grouped.items()},
         "trials_table": [
             {"method": job.method, "x": job.x, "seed": job.seed, **row}
@@ -152,7 +161,9 @@ def plot(result: dict[str, Any], path: Path) -> None:
 def _line(axes: Any, result: dict[str, Any], method: str) -> None:
     points = []
     for x in result["xs"]:
-        row = result["scenarios"][key(method, x)]
+        row = result["scenarios"].get(key(method, x))
+        if row is None:
+            continue
         mean = row.get("mean_with_censored", row["mean"])
         if mean is not None:
             points.append((x, mean, (row["std"] or 0.0) / np.sqrt(row["trials"]), row["censored"]))

@@ -47,8 +47,14 @@ def run_scenarios(
     only: str = "",
     **how: Any,
 ) -> dict[str, Any]:
-    """Scenarios whose name contains `only`, `trials` each from `seed` on; `how` goes to `run_trials`."""
-    wanted = [(scenario, seed + k) for scenario in scenarios if only in scenario.name for k in range(trials)]
+    """The scenario named `only`, or those whose name contains it, `trials` each from `seed` on.
+
+    `how` goes to `run_trials`.
+    """
+    named = [each for each in scenarios if each.name == only] or [
+        each for each in scenarios if only in each.name
+    ]
+    wanted = [(scenario, seed + k) for scenario in named for k in range(trials)]
     rows = run_trials(trial, [job(*each) for each in wanted], progress, **how)
     grouped: dict[str, list[dict[str, Any]]] = {}
     for (scenario, _), row in zip(wanted, rows, strict=True):
