@@ -55,6 +55,11 @@ def measured(result: FitResult) -> tuple[ChannelSpread, Reml | None, str]:
     )
 
 
+def _metres(length_m: float) -> str:
+    """A length in two digits; `.2g` would write 190 m as 1.9e+02."""
+    return f"{float(f'{length_m:.2g}'):.12g}"
+
+
 def words(spread: ChannelSpread, found: Reml | None, why_not: str) -> list[str]:
     """For people."""
     if found is None:
@@ -62,7 +67,7 @@ def words(spread: ChannelSpread, found: Reml | None, why_not: str) -> list[str]:
     low, high = found.correlation_95_m
     lines = [
         f"over time {spread.sigma_time_db:.1f} dB, from place to place {spread.sigma_place_db:.1f} dB over "
-        f"{spread.correlation_m:.2g} m (95 %: {low:.2g} to {high:.2g} m)"
+        f"{_metres(spread.correlation_m)} m (95 %: {_metres(low)} to {_metres(high)} m)"
     ]
     if spread.transmitters > 1:
         lines.append(

@@ -1,6 +1,7 @@
 """What the mission's commands share: options, words to the terminal, the folder of a run, the live page."""
 
 import json
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -107,6 +108,16 @@ def begun_folder(out: Path, mission: "Mission") -> Path:
     write_whole(folder / "mission.toml", mission.text)
     write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
     return folder
+
+
+def may_hold_runs(out: Path) -> None:
+    """Raises `ConfigError` where no folder can be made in `out`; makes none."""
+    from fieldkit.errors import ConfigError
+
+    there = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        why = "nobody may write there" if there.is_dir() else f"{there} is a file"
+        raise ConfigError(f"--out {out}: cannot make a folder there: {why}")
 
 
 def run_folder(out: Path) -> Path:

@@ -15,6 +15,7 @@ from mission.cli.options import (
     PortOption,
     begun_folder,
     informed_maps,
+    may_hold_runs,
     say,
     shown_page,
     stay_open,
@@ -103,6 +104,7 @@ def walk(
     from mission.core.mission_file import read_mission
     from mission.core.walk_text import WalkOptions
     from mission.maps.background import read_background
+    from mission.page.server import may_be_served
     from mission.shell import setups
     from mission.shell.flight import fly
     from mission.shell.terminal import Watch
@@ -118,6 +120,9 @@ def walk(
             )
     else:
         _all_there(receiver, gnss, antenna, background)
+        may_hold_runs(out)
+        if page:
+            may_be_served(page_host, page_port)
         picture = "" if background is None else str(background.resolve())
         options = WalkOptions(
             receiver_of(receiver), gnss, Path(antenna or "").name, (0.0, 0.0), size_m, rate_hz, float(sources),
@@ -153,6 +158,7 @@ def _nothing_twice(context: typer.Context, mission_file: Path) -> None:
 def _all_there(receiver: str, gnss: str, antenna: Path | None, background: Path | None) -> None:
     """Raises `ConfigError` for what is missing, before anybody waits for a position."""
     from fieldkit.errors import ConfigError
+    from mission.maps.background import looks_like_a_map
 
     given = {"--receiver": receiver, "--gnss": gnss, "--antenna": antenna}
     if missing := [name for name, value in given.items() if not value]:
@@ -161,11 +167,10 @@ def _all_there(receiver: str, gnss: str, antenna: Path | None, background: Path 
             "'fieldkit demo --walk lora' shows a walk without any device"
         )
     if antenna is not None and not antenna.is_file():
-        raise ConfigError(
-            f"--antenna {antenna}: cannot be read: no such file; 'fieldkit calibrate' writes one"
-        )
-    if background is not None and not background.is_file():
-        raise ConfigError(f"--background {background}: no such file")
+        why = "it is a folder" if antenna.is_dir() else "no such file"
+        raise ConfigError(f"--antenna {antenna}: cannot be read: {why}; 'fieldkit calibrate' writes one")
+    if background is not None:
+        looks_like_a_map(background, f"--background {background}")
 
 
 def _round_here(options: "WalkOptions", beside: Path) -> "Mission":

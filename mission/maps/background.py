@@ -29,6 +29,7 @@ from mission.maps.georeference import Corners, pixel_map, to_degrees
 
 logger = logging.getLogger(__name__)
 
+TILES = ".mbtiles"
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 MARGIN = 0.15
 """Of the field's size is shown beyond it."""
@@ -130,20 +131,25 @@ def read_background(mission: Mission) -> Background | None:
 def background_of(ground: Ground, path: Path, crs: str = "") -> Background:
     """What a file has of the ground of a field; `crs` as `background_crs` names it. Raises `ConfigError`."""
     where = f"field.background: {path}"
-    if not path.is_file():
-        raise ConfigError(f"{where}: no such file")
+    looks_like_a_map(path, where)
     return _read(ground, path, crs, _state(path))
+
+
+def looks_like_a_map(path: Path, where: str) -> None:
+    """Raises `ConfigError`, beginning with `where`, for what can be none whatever the field."""
+    if not path.is_file():
+        raise ConfigError(f"{where}: {'it is a folder' if path.is_dir() else 'no such file'}")
+    if (ending := path.suffix.lower()) not in (TILES, *PICTURES):
+        raise ConfigError(f"{where}: expected {TILES} or a picture ({', '.join(PICTURES)}), got '{ending}'")
 
 
 @lru_cache(maxsize=2)
 def _read(ground: Ground, path: Path, crs: str, state: tuple[tuple[str, int, int], ...]) -> Background:
     """Kept while its files are as they were: an editor asks at every change, and a large picture takes seconds."""
-    where, ending = f"field.background: {path}", path.suffix.lower()
-    if ending == ".mbtiles":
+    where = f"field.background: {path}"
+    if path.suffix.lower() == TILES:
         return _tiles(path, where, ground)
-    if ending in PICTURES:
-        return _picture(path, where, ground, crs)
-    raise ConfigError(f"{where}: expected .mbtiles or a picture ({', '.join(PICTURES)}), got '{ending}'")
+    return _picture(path, where, ground, crs)
 
 
 def _state(path: Path) -> tuple[tuple[str, int, int], ...]:

@@ -8,9 +8,11 @@ address by a name of its own.
 
 import asyncio
 import contextlib
+import errno
 import hmac
 import ipaddress
 import logging
+import os
 import secrets
 import socket
 import threading
@@ -417,11 +419,19 @@ def is_own_origin(origin: str | None, host: str) -> bool:
     return origin is None or origin in (f"http://{host}", f"https://{host}")
 
 
+def may_be_served(host: str, port: int) -> None:
+    """Raises `ConfigError` where no page can be served by now."""
+    _bound(host, port).close()
+
+
 def _bound(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
-        raise ConfigError(
-            f"the page cannot be served on {host}:{port}: {error.strerror}; is another mission running? "
-            "choose another --page-port"
-        ) from error
+        number = error.errno or 0  # of a name that nobody knows it is none of the system's
+        why = os.strerror(number) if number in errno.errorcode else "nobody knows this name"
+        remedy = {
+            errno.EADDRINUSE: "is another mission running? choose another --page-port",
+            errno.EACCES: "choose a --page-port above 1023",
+        }.get(number, "expected an address of this computer, or 0.0.0.0 for all that it has")
+        raise ConfigError(f"the page cannot be served on {host}:{port}: {why}; {remedy}") from error

@@ -97,3 +97,9 @@ def test_without_positions_it_says_what_is_assumed(tmp_path):
     path.write_text("place,distance_m,rss_dbm\n" + "\n".join(rows))
     spread, found, why_not = channel.measured(fit(read_readings(path)))
     assert found is None and "no positions" in why_not and "assumed" in spread.assumed
+
+
+def test_lengths_are_said_without_powers_of_ten() -> None:
+    assert [channel._metres(length) for length in (0.031, 1.44, 16.2, 188.0, 2440.0)] == [
+        "0.031", "1.4", "16", "190", "2400"
+    ]  # fmt: skip

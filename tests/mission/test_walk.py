@@ -319,7 +319,15 @@ def test_a_walk_that_found_nothing_counts_as_longer_than_all_others() -> None:
             ["walk", "--receiver", "x,rylr", "--gnss", "/dev/none", "--antenna", "none.toml"],
             "--antenna none.toml: cannot be read",
         ),
+        (
+            ["walk", "--receiver", "x,rylr", "--gnss", "/dev/none", "--antenna", "."],
+            "--antenna .: cannot be read: it is a folder",
+        ),
         ([*DEVICES, "--background", "none.png"], "--background none.png: no such file"),
+        ([*DEVICES, "--background", "antenna.toml"], "--background antenna.toml: expected .mbtiles or a"),
+        ([*DEVICES, "--page-host", "no.such.host.invalid"], "expected an address of this computer, or"),
+        ([*DEVICES, "--page-host", "192.0.2.1"], "expected an address of this computer, or"),
+        ([*DEVICES, "--out", "antenna.toml/a"], "--out antenna.toml/a: cannot make a folder there: "),
         ([*DEVICES, "--receiver", "x,nobody"], "(lines): option 'map': expected one of json"),
         ([*DEVICES, "--receiver", ",rylr"], "--receiver ,rylr: expected a port, as in"),
         ([*DEVICES, "--cot", "nonsense"], "maps.cot: expected udp://HOST:PORT"),
@@ -338,7 +346,14 @@ def test_what_is_missing_for_a_walk_is_said(
     """Before anybody waits for a position: there is no satellite receiver at all."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "antenna.toml").write_text(dump_antenna(believed()))
-    result = CliRunner().invoke(build(), [*arguments, "--out", "runs", "--no-page"])
+    result = CliRunner().invoke(
+        build(),
+        [
+            *arguments,
+            *(() if "--out" in arguments else ("--out", "runs")),
+            *(() if "--page-host" in arguments else ("--no-page",)),
+        ],
+    )
     assert result.exit_code != 0
     assert says in " ".join((result.output + str(result.exception)).split())
     assert "demo" in arguments or not (tmp_path / "runs").exists()
