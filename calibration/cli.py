@@ -100,8 +100,9 @@ def fit(
     from calibration.verdict import judge
     from fieldkit.channel.antenna_file import dump_antenna
     from fieldkit.console import progress
-    from fieldkit.files import write_whole
+    from fieldkit.files import keep_apart, write_whole
 
+    keep_apart(readings, out, plot, report)
     how = Reading(_pairs(column), _pairs(where), place_cell_m, negate, source, relative=relative)
     data, notes = read_log(readings, how)
     data = replace(data, warnings=(*data.warnings, *notes))
@@ -194,8 +195,9 @@ def import_(
     from calibration.dataset import read_readings
     from calibration.importing import csv_from_table
     from calibration.logs import Reading, as_readings_csv
-    from fieldkit.files import write_whole
+    from fieldkit.files import keep_apart, write_whole
 
+    keep_apart(log, out)
     how = Reading(_pairs(column), _pairs(where), None, negate, source, positions, clock_offset_s)
     text, notes = as_readings_csv(log, how)
     if text is None:

@@ -62,6 +62,7 @@ class NotWritten(FieldkitError, OSError):
         errno.EACCES: "write to a folder of yours",
         errno.EPERM: "write to a folder of yours",
         errno.EROFS: "this disk is read-only: write to another",
+        errno.EEXIST: "name another file",
         errno.EISDIR: "it is a folder: name a file in it",
         errno.ENOTDIR: "a part of that path is a file: name another",
         errno.ENAMETOOLONG: "give it a shorter name",

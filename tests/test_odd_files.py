@@ -11,7 +11,7 @@ from sizes import size
 from typer.testing import CliRunner
 
 from fieldkit.cli import build
-from fieldkit.errors import FieldkitError
+from fieldkit.errors import ConfigError, FieldkitError, NotWritten
 from mission.core.template import mission_text
 from mission.lab.synthetic import record_simulated
 
@@ -111,3 +111,35 @@ def test_a_damaged_recording_is_read_or_refused_in_words(
     for made in tmp_path.glob("out*"):
         made.unlink()
     assert "Traceback" not in said_of(COMMANDS[command](str(path), str(out)))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["calibrate", "fit", "a.csv", "-o", "a.csv"],
+        ["calibrate", "fit", "a.csv", "-o", "new.toml", "--plot", "./new.toml"],
+        ["calibrate", "fit", "a.csv", "-o", "new.toml", "--report", "a.csv"],
+        ["calibrate", "import", "a.csv", "-o", "link.csv"],
+        ["survey", "a.csv", "b.csv", "--antenna", "c.toml", "--geojson", "b.csv"],
+    ],
+    ids=" ".join,
+)
+def test_nothing_is_written_over_what_is_read(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.csv").write_text("distance_m,rss_dbm\n1,-60\n")
+    Path("link.csv").symlink_to("a.csv")
+    result = CliRunner().invoke(APP, command)
+    assert isinstance(result.exception, ConfigError)
+    assert "would be written over" in str(result.exception)
+    assert Path("a.csv").read_text().startswith("distance_m") and not Path("new.toml").exists()
+
+
+def test_no_recording_is_ever_replaced(tmp_path: Path) -> None:
+    log = tmp_path / "mission.mcap"
+    log.write_bytes(mcap_head())
+    result = CliRunner().invoke(APP, ["log", "layout", "-o", str(log)])
+    assert isinstance(result.exception, NotWritten)
+    assert "a recording is there" in str(result.exception) and "name another" in str(result.exception)
+    assert log.read_bytes() == mcap_head()

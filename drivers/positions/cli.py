@@ -82,8 +82,10 @@ def survey(
     from drivers.positions.tracks import ONLY, read_track
     from fieldkit.channel.antenna_file import read_antenna, spread_of
     from fieldkit.console import progress
-    from fieldkit.files import write_whole
+    from fieldkit.files import keep_apart, write_whole
 
+    for read in (readings, positions, antenna):
+        keep_apart(read, geojson)
     file = read_antenna(antenna, allow_refused=allow_refused)
     track = read_track(positions)
     if {spot.robot for spot in track.spots} == {ONLY} and robot != ONLY:
