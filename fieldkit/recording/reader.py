@@ -120,7 +120,15 @@ class Recording:
         """
         led: dict[int, Step] = {}
         last: int | None = None
-        for item in self.items("command", "belief", "result"):
+        # Where events are missing, what the last ones before them led to may be missing with them.
+        until: int | None = None
+        following: int | None = None
+        for item in self.items("command", "belief", "result", *(() if self.complete else ("event",))):
+            if item.kind == "event":
+                if until is None and following not in (None, item.inbox_number):
+                    until = max(led, default=0) - 1
+                following = item.inbox_number + 1
+                continue
             if item.kind == "result":
                 last, self.ended = item.inbox_number, item.value
                 continue
@@ -131,6 +139,7 @@ class Recording:
                 step.digest = item.value.digest
         # Nothing is known of what the last events led to, unless the mission came to its end.
         known = max(led, default=0) - 1 if last is None else last
+        known = known if until is None else min(known, until)
         for item in self.items("event"):
             if last is not None and item.inbox_number > last:
                 return

@@ -12,7 +12,7 @@ from mcap.writer import Writer
 from sizes import size
 
 from fieldkit.errors import RecordingError
-from fieldkit.messages import Tick
+from fieldkit.messages import Hold, Tick
 from fieldkit.recording import RecordingWriter, open_recording, recover
 from fieldkit.recording import writer as writer_module
 
@@ -99,6 +99,24 @@ def test_data_after_a_damaged_chunk_is_still_read(tmp_path):
     numbers = [n for n, _, _ in recording.events()]
     assert numbers[-1] == len(mission(3)) - 1
     assert "are missing" in recording.missing and recording.seconds_missing > 0
+
+
+def test_of_what_led_into_a_damaged_chunk_nothing_is_known(tmp_path):
+    """Commands of a busy kernel stand behind their events: these are whole, and what they led to is lost."""
+    path, late = tmp_path / "m.mcap", 30
+    with RecordingWriter(path, mission_toml="a = 1\n") as writer:
+        for number in range(400):
+            writer.event(number, number, Tick(number))
+            if number >= late:
+                writer.command(number - late, number, Hold(number, "r1", "x" * 200), "kernel")
+    data = bytearray(path.read_bytes())
+    marks = [i for i in range(len(data)) if data[i : i + 8] == b"\x04\x00\x00\x00zstd"]
+    data[marks[4] + 60] ^= 1
+    path.write_bytes(data)
+    recording = open_recording(path)
+    assert "are missing" in recording.missing
+    known = [step for step in recording.steps() if step.known]
+    assert len(known) > 20 and all(step.commands for step in known)
 
 
 def test_a_damaged_first_chunk_does_not_cost_the_mission(tmp_path):
@@ -205,7 +223,7 @@ def test_a_newer_schema_is_refused(tmp_path, monkeypatch):
 KILLED = """
 import sys
 from pathlib import Path
-from fieldkit.messages import Tick
+from fieldkit.messages import Hold, Tick
 from fieldkit.recording import RecordingWriter
 writer = RecordingWriter(Path(sys.argv[1]))
 number = 0
