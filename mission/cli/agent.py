@@ -8,7 +8,7 @@ import typer
 
 from fieldkit import settings as given
 from mission.cli.missions import UNCONFIRMED_EXIT
-from mission.cli.options import JsonOption, print_json, run_folder, say
+from mission.cli.options import HostOption, JsonOption, PortOption, print_json, run_folder, say, shown_page
 
 KEY_FILE = "mission.key"
 HOLD_S = 15.0
@@ -61,6 +61,12 @@ def agent(
         str,
         typer.Option(help="Why it may start although its vehicle's check is red; goes into the recording."),
     ] = "",
+    page: Annotated[
+        bool,
+        typer.Option("--page", help="Serve what this robot knows as a page; with --page-host for a laptop."),
+    ] = False,
+    page_host: HostOption = given.PAGE_HOST,
+    page_port: PortOption = given.PAGE_PORT,
     as_json: JsonOption = False,
 ) -> None:
     """Run one robot's part of a mission on its own computer; the robots' agents talk over Zenoh.
@@ -70,6 +76,8 @@ def agent(
     shown that it holds.
 
     Example: fieldkit agent mission.toml --robot r1 --connect tcp/192.168.1.11:7447
+
+    Example: fieldkit agent mission.toml --robot r2 --page --page-host 0.0.0.0
 
     Example: fieldkit agent mission.toml --hold
     """
@@ -96,6 +104,8 @@ def agent(
     mission = read_mission(mission_file)
     clock = RealClock()
     robots = mission.kernel.engine.robots
+    if not robot and not hold:
+        raise ConfigError(f"--robot: which robot's computer is this? There are {', '.join(robots)}")
     card = card_of(mission, robots[0] if hold else robot, clock)
     try:
         secret = parse_key(key_file.read_text(encoding="ascii"), str(key_file))
@@ -115,14 +125,21 @@ def agent(
     options = Options(robot, secret, contact_m, bytes_s, override, resumed)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     warm_up(mission)
+    if mission.kernel.planner == "dprwa":
+        say(
+            "engine.planner is dprwa: robots out of contact will not meet as planned; 'dprwa-apart' keeps meetings"
+        )
     folder = run_folder(out)
     write_whole(folder / "mission.toml", mission.text)
     write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
     if resumed is not None:
         say(f"goes on with what {robot} knew: {resumed}", always=True)
     say(f"{robot} records to {folder}; looks for others {network.where}")
-    with Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
-        runner = fly_agent(mission, setup, network, card, options, folder, watch.show)
+    with (
+        shown_page(mission, page, page_host, page_port) as shown,
+        Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
+    ):
+        runner = fly_agent(mission, setup, network, card, options, folder, watch.show, shown)
     say(f"written: {folder}/{{mission.mcap, common.mcap}}; 'fieldkit report' makes a page of either")
     # A robot's computer has better to do than to draw.
     print_flown(runner, folder, as_json=as_json, report=False)

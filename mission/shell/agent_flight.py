@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fieldkit import settings as given
 from fieldkit.clock import Clock
@@ -32,6 +32,9 @@ from mission.shell.chronicle import Chronicle
 from mission.shell.keyboard import keyboard
 from mission.shell.runner import Progress
 from mission.shell.setups import Setup
+
+if TYPE_CHECKING:
+    from mission.page.serve import LivePage
 
 LEAST_NS = 1_735_689_600_000_000_000
 """The beginning of 2025: a clock that says an earlier time was never set."""
@@ -116,8 +119,12 @@ def fly_agent(
     options: Options,
     folder: Path,
     on_progress: Callable[[Progress], None] = lambda _: None,
+    page: "LivePage | None" = None,
 ) -> AgentRunner:
-    """Run one robot's part of a mission; the runner, ended. Recordings and journal are closed whatever happens."""
+    """Run one robot's part of a mission; the runner, ended. Recordings and journal are closed whatever happens.
+
+    `page` shows what this robot knows, of the others too.
+    """
     agent = make_agent(mission, card, options)
     metadata: dict[str, Any] = {
         "mission": mission.file.name,
@@ -146,11 +153,14 @@ def fly_agent(
         )
         agent.common.witness = common.step
         crew = Crew(agent, network, options.key, card, journal, options.contact_m, common)
+        followers = () if page is None else (page.follower,)
         recorder = writer("mission.mcap", {"agent": card.robot}, setup.clock.now_ns())
-        runner = AgentRunner(mission, setup, recorder, on_progress, (), options.override, crew=crew)
+        runner = AgentRunner(mission, setup, recorder, on_progress, followers, options.override, crew=crew)
         _stand_by_orders(runner)
 
         async def run() -> None:
+            if page is not None:
+                page.attach(runner)
             if setup.tap is not None:
                 setup.tap.listen(lambda robot, data: recorder.raw(setup.clock.now_ns(), robot, data))
             async with network:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from fieldkit.clock import RealClock
-from fieldkit.engine.decentralised.card import MARK, Card, is_second, read_card, refusal
+from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second, read_card, refusal
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.errors import ConfigError, RecordingError
 from fieldkit.messages import Command, EndMission, Event, Operator, Pose, ReceiverState, Tick, VehicleState
@@ -67,6 +67,8 @@ class AgentRunner(Runner):
         """Orders of others that are in the inbox."""
         self._refused: set[str] = set()
         """Agents that were said not to belong here."""
+        self._out_of_time: set[str] = set()
+        """Agents that were said to have another time."""
         self._present: set[str] = set()
         self._ages_s: dict[str, float] = {}
         """How old what was known of each other robot was at the last tick."""
@@ -127,7 +129,7 @@ class AgentRunner(Runner):
         async for data in crew.network.messages():
             now_ns = self.setup.clock.now_ns()
             if data.startswith(MARK):
-                self._meet(read_card(crew.key, data, now_ns))
+                self._meet(read_card(crew.key, data), now_ns)
                 continue
             for order in agent.take(data, now_ns):
                 self._foreign.append(order)
@@ -137,6 +139,8 @@ class AgentRunner(Runner):
             agent.unlogged.clear()
             for event in agent.fresh:
                 self.safety.observe(event)
+                for follower in self.followers:  # the recording has its own robot's; `common.mcap` has all
+                    follower.event(0, event.t_ns, event)
             agent.fresh.clear()
             self._expect()
 
@@ -149,11 +153,16 @@ class AgentRunner(Runner):
         assert isinstance(self.safety, SafetyApart)
         return self.safety
 
-    def _meet(self, card: Card | None) -> None:
+    def _meet(self, card: Card | None, now_ns: int) -> None:
         """Another agent says who it is. Raises `ConfigError` where it has our robot already."""
         mine = self.crew.card
         if card is None:
             self.strangers += 1
+            return
+        if reason := clock_refusal(card, now_ns):
+            if card.instance not in self._out_of_time:
+                self._out_of_time.add(card.instance)
+                self._say(reason)
             return
         if is_second(mine, card):
             raise ConfigError(

@@ -3,7 +3,7 @@
 import asyncio
 
 from fieldkit.clock import Clock
-from fieldkit.engine.decentralised.card import Card
+from fieldkit.engine.decentralised.card import Card, apart_words
 from fieldkit.engine.decentralised.logs import Logs
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.engine.decentralised.sealing import Seal, session_key
@@ -18,7 +18,7 @@ EVERY_S = 0.25
 async def hold_all(
     robots: tuple[str, ...], network: Network, card: Card, key: bytes, clock: Clock, patience_s: float
 ) -> dict[str, str]:
-    """Robot to "holds", "has not shown it" or "is not heard". Returns as soon as all hold.
+    """Robot to "holds", "has not shown it" or "is not heard", with why where that is known. Returns once all hold.
 
     An agent that obeys logs the order, so that robots out of reach learn of it from that one: one is enough.
     """
@@ -42,7 +42,8 @@ async def hold_all(
 
 def _word(talk: Talk, name: str, order: Operator) -> str:
     if (peer := talk.peers.get(name)) is None:
-        return "is not heard"
+        ahead_s = talk.seal.stale_s.get(talk.logs.robots.index(name))
+        return "is not heard" if ahead_s is None else f"is not heard: {apart_words(ahead_s)}"
     return "holds" if peer.obeyed == code_of(order) else "has not shown it"
 
 

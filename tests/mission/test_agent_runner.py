@@ -12,7 +12,7 @@ import pytest
 
 from fieldkit import jumploop
 from fieldkit.clock import RealClock
-from fieldkit.engine.decentralised.card import Card, is_second, read_card, refusal
+from fieldkit.engine.decentralised.card import Card, clock_refusal, is_second, read_card, refusal
 from fieldkit.engine.decentralised.logs import Logs
 from fieldkit.errors import ConfigError
 from fieldkit.jumploop import LoopClock
@@ -25,6 +25,7 @@ from fieldkit.world.fakes import FakeFleet, FakeReceiver
 from fieldkit.world.network import Air
 from mission.core.mission_file import Mission
 from mission.lab.synthetic import small_mission
+from mission.page.view import View
 from mission.replay.replay import replay
 from mission.safety.rules import Safety
 from mission.shell import journal as journals
@@ -48,6 +49,7 @@ class Robot:
         self.fleet, self.radio = FakeFleet({name: body}, clock), FakeReceiver(name, clock)
         self.network = ether.member(name)
         self.runner: AgentRunner | None = None
+        self.followers: tuple[View, ...] = ()
         self.flights = 0
 
     async def fly(self, resumed: Path | None = None) -> AgentRunner:
@@ -74,7 +76,7 @@ class Robot:
             agent.common.witness = common.step
             setup = Setup(clock, (self.radio,), (self.fleet,))
             crew = Crew(agent, self.network, KEY, card, journal, options.contact_m, common)
-            self.runner = AgentRunner(mission, setup, writers[0], crew=crew)
+            self.runner = AgentRunner(mission, setup, writers[0], followers=self.followers, crew=crew)
             async with self.network:
                 await self.runner.run()
         return self.runner
@@ -87,9 +89,11 @@ class Robot:
 Act = Callable[[dict[str, Robot]], Awaitable[None]]
 
 
-def two(folder: Path, act: Act, duration_s: float = 30.0, air: Air = Air()) -> dict[str, Robot]:
+def two(
+    folder: Path, act: Act, duration_s: float = 30.0, air: Air = Air(), **engine: str
+) -> dict[str, Robot]:
     """Two robots; `act` starts their agents and whatever else is to happen."""
-    mission = small_mission(folder, duration_s=duration_s, robots=2)
+    mission = small_mission(folder, duration_s=duration_s, robots=2, engine=engine)
     clock = LoopClock(START_NS)
     bodies = {name: Rover(*place) for name, place in start_places(mission).items()}
     team: dict[str, Robot] = {}
@@ -116,7 +120,15 @@ def notes(path: Path) -> str:
     return "\n".join(note.text for _, note in open_recording(path).notes())
 
 
-def test_two_agents_fly_one_mission_and_leave_the_same_common_recording(tmp_path: Path) -> None:
+RING = {"belief": "spog", "sensing": "pairwise", "prior_rule": "dirichlet", "planner": "dprwa-apart"}
+
+
+@pytest.mark.parametrize("engine", [{}, RING], ids=["intensity and infogain", "spog and dprwa-apart"])
+def test_two_agents_fly_one_mission_and_leave_the_same_common_recording(
+    tmp_path: Path, engine: dict[str, str]
+) -> None:
+    views: list[View] = []
+
     async def act(team: dict[str, Robot]) -> None:
         async def transmit() -> None:
             while True:
@@ -125,10 +137,12 @@ def test_two_agents_fly_one_mission_and_leave_the_same_common_recording(tmp_path
                     robot.radio.hear(-60.0)
 
         sending = asyncio.create_task(transmit())
+        team["r1"].followers = (view := View(team["r1"].mission),)
+        views.append(view)
         await both(team)
         sending.cancel()
 
-    team = two(tmp_path, act)
+    team = two(tmp_path, act, **engine)
     ended = {name: robot.runner.result() for name, robot in team.items() if robot.runner}
     assert all("time is up" in result["end_reason"] for result in ended.values())
     assert ended["r1"]["common_hash"] == ended["r2"]["common_hash"] and ended["r1"]["detections"] >= 5
@@ -141,6 +155,12 @@ def test_two_agents_fly_one_mission_and_leave_the_same_common_recording(tmp_path
         said = notes(robot.log / "mission.mcap")
         other = "r2" if robot.name == "r1" else "r1"
         assert f"{other} is in contact" in said
+    shown = {robot["name"]: robot for robot in views[0].frame()["robots"]}
+    for name, robot in team.items():  # the page of one robot shows the others as well
+        body = robot.fleet.rovers[name]
+        place_m, age_s = (shown[name]["east_m"], shown[name]["north_m"]), shown[name]["pose_age_s"]
+        assert place_m[0] is not None and place_m[1] is not None and age_s is not None and age_s < 15.0
+        assert math.dist((place_m[0], place_m[1]), (body.east_m, body.north_m)) < 0.5
     hashes = [open_recording(robot.log / "common.mcap").result() for robot in team.values()]
     assert (
         hashes[0]["belief_hash"] == hashes[1]["belief_hash"]
@@ -176,6 +196,13 @@ def test_hold_all_at_one_robot_stops_the_other_at_once_and_resume_lets_it_go_on(
     assert "from another robot: hold all: stop" in notes(team["r2"].log / "mission.mcap")
 
 
+class Late(LoopClock):
+    """A clock that is ten minutes behind."""
+
+    def now_ns(self) -> int:
+        return super().now_ns() - 600 * 10**9
+
+
 def test_a_computer_without_a_robot_holds_all_and_says_who_does(tmp_path: Path) -> None:
     said: list[dict[str, str]] = []
 
@@ -188,6 +215,11 @@ def test_a_computer_without_a_robot_holds_all_and_says_who_does(tmp_path: Path) 
         flights = [asyncio.create_task(r1.fly())]
         await r1.clock.sleep(8.0)
         said.append(await hold_all(names, laptop, mine, KEY, r1.clock, 2.0))
+        long_ago = replace(mine, robot="r2", host="box", sent_ns=r1.clock.now_ns() - 600 * 10**9)
+        async with laptop:
+            for _ in range(2):
+                laptop.publish(long_ago.to_bytes(KEY))
+                await r1.clock.sleep(1.0)
         flights.append(asyncio.create_task(r2.fly()))
         await r1.clock.sleep(8.0)
         said.append(await hold_all(names, laptop, mine, KEY, r1.clock, 2.0))
@@ -197,12 +229,17 @@ def test_a_computer_without_a_robot_holds_all_and_says_who_does(tmp_path: Path) 
             assert robot.runner.crew.agent.common.kernel.fleet.any_held(), "it is in the logs"
         stranger = await hold_all(names, laptop, mine, bytes(32), r1.clock, 1.0)
         assert set(stranger.values()) == {"is not heard"}
+        late = await hold_all(names, laptop, mine, KEY, Late(START_NS), 1.0)
+        assert all("is not heard: its clock is 600 s ahead of" in word for word in late.values())
         await asyncio.gather(*flights)
 
     team = two(tmp_path, act, duration_s=30.0)
     silent = dict.fromkeys(("r1", "r2"), "is not heard")
     assert said == [silent, {"r1": "holds", "r2": "is not heard"}, dict.fromkeys(("r1", "r2"), "holds")]
     assert "HOLD ALL from the operator's computer" in notes(team["r2"].log / "mission.mcap")
+    assert (
+        notes(team["r1"].log / "mission.mcap").count("r2 on box is not heard: its clock is 600 s behind") == 1
+    )
 
 
 def test_ctrl_c_ends_one_agent_and_the_other_goes_on_without_it(tmp_path: Path) -> None:
@@ -290,9 +327,11 @@ def test_a_card_is_read_by_those_who_have_the_key_and_not_for_long(tmp_path: Pat
     now_ns = RealClock().now_ns()
     mine = replace(card(small_mission(tmp_path)), sent_ns=now_ns)
     data = mine.to_bytes(KEY)
-    assert read_card(KEY, data, now_ns) == mine
-    assert read_card(bytes(32), data, now_ns) is None and read_card(KEY, data, now_ns + 300 * 10**9) is None
-    assert read_card(KEY, data[:-1], now_ns) is None and read_card(KEY, b"\x00card", now_ns) is None
+    assert read_card(KEY, data) == mine and clock_refusal(mine, now_ns) == ""
+    assert read_card(bytes(32), data) is None
+    assert "300 s behind this computer's" in clock_refusal(mine, now_ns + 300 * 10**9)
+    assert "300 s ahead of" in clock_refusal(mine, now_ns - 300 * 10**9)
+    assert read_card(KEY, data[:-1]) is None and read_card(KEY, b"\x00card") is None
 
 
 def test_what_cannot_be_is_said_before_anything_moves(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ mission file and the version too (`sealing.session_key`): they could not even re
 """
 
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 
 from fieldkit.engine.decentralised.sealing import STALE_S, session_key, signed, unsigned
 
@@ -41,8 +41,8 @@ class Card:
         return signed(session_key(key, "card"), MARK + json.dumps(list(asdict(self).values())).encode())
 
 
-def read_card(key: bytes, data: bytes, now_ns: int) -> Card | None:
-    """The card in a message; None where there is none, or one of long ago."""
+def read_card(key: bytes, data: bytes) -> Card | None:
+    """The card in a message; None where there is none of this key."""
     said = unsigned(session_key(key, "card"), data) if data.startswith(MARK) else None
     if said is None:
         return None
@@ -51,10 +51,26 @@ def read_card(key: bytes, data: bytes, now_ns: int) -> Card | None:
             zip((each.name for each in fields(Card)), json.loads(said.removeprefix(MARK)), strict=True)
         )
         card = Card(**values)
-        age_s = abs(now_ns - card.sent_ns) * 1e-9
+        return replace(card, sent_ns=int(card.sent_ns))
     except (ValueError, TypeError):
         return None
-    return card if age_s <= STALE_S else None
+
+
+def clock_refusal(card: Card, now_ns: int) -> str:
+    """Why nothing that its agent says is heard: it comes from another time. Empty where it does not."""
+    ahead_s = (card.sent_ns - now_ns) * 1e-9
+    if abs(ahead_s) <= STALE_S:
+        return ""
+    return f"{card.robot} on {card.host} is not heard: {apart_words(ahead_s)}"
+
+
+def apart_words(ahead_s: float) -> str:
+    """What is wrong where another's messages come from so many seconds ahead."""
+    way = "ahead of" if ahead_s > 0 else "behind"
+    return (
+        f"its clock is {abs(ahead_s):.0f} s {way} this computer's, or old messages of it are repeated; set the clocks "
+        "(chrony, GNSS)"
+    )
 
 
 def refusal(mine: Card, other: Card) -> str:

@@ -74,6 +74,8 @@ class Seal:
     me: int
     dropped: Counter[str] = field(default_factory=Counter)
     """Messages that were not heard, by why: "forged", "repeated", "stale", "own"."""
+    stale_s: dict[int, float] = field(default_factory=dict)
+    """By how many seconds the last message of a sender that was dropped as stale came from ahead of our time."""
     _stamp: int = 0
     _heard: dict[int, "_Heard"] = field(default_factory=dict)
 
@@ -93,6 +95,7 @@ class Seal:
         stamp = int.from_bytes(said[2 : 2 + STAMP_BYTES], "big")
         sent_ns = stamp * STAMP_NS + STAMP_EPOCH_NS
         if abs(now_ns - sent_ns) * 1e-9 > STALE_S:
+            self.stale_s[sender] = (sent_ns - now_ns) * 1e-9
             return self._drop("stale")
         if not self._heard.setdefault(sender, _Heard()).is_new(stamp):
             return self._drop("repeated")
