@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import os
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Literal
@@ -15,6 +16,8 @@ WORDS: dict[str, Action] = {
     "": "hold",
     "h": "hold",
     "hold": "hold",
+    "stop": "hold",
+    "halt": "hold",
     "r": "resume",
     "resume": "resume",
     "home": "return",
@@ -28,6 +31,8 @@ LONGEST_LINE = 4096
 LISTEN_AGAIN_S = 0.2
 """A terminal that has given nothing, though it said that it would, is listened to again after so long."""
 MOST_SHOWN = 40
+KEYS = re.compile(r"\x1b(?:\[[0-9;?]*[ -/]*[@-~]|O.|.)?")
+"""What arrows and other keys without a letter send: hit on the way to Enter, they must not keep it from holding."""
 
 
 class NotUnderstood(ValueError):
@@ -39,7 +44,7 @@ def meaning(line: str, robots: Sequence[str]) -> tuple[Action, str | None]:
 
     What is not understood must not do anything, but an empty line, the quickest there is, stops everybody.
     """
-    words = line.split()
+    words = KEYS.sub("", line).split()
     said = words[0].lower() if words else ""
     action = WORDS.get(said)
     if action is None:
@@ -51,6 +56,9 @@ def meaning(line: str, robots: Sequence[str]) -> tuple[Action, str | None]:
         raise NotUnderstood(
             f"'end' ends the whole mission and takes no robot, got {_shown(who)}. Nothing was done"
         )
+    alike = [name for name in robots if name.casefold() == who.casefold()]
+    if who not in robots and len(alike) == 1:
+        who = alike[0]
     if who not in robots:
         raise NotUnderstood(
             f"there is no robot {_shown(who)}; robots are: {', '.join(robots)}, or all. Nothing was done"

@@ -196,7 +196,7 @@ def sources_table(sources: list[dict[str, Any]], detections: int = 0) -> None:
     console = Console()
     if not sources:
         heard = (
-            f"{detections} transmissions were heard, too few for a source"
+            f"{detections} transmission{' was' if detections == 1 else 's were'} heard, too few for a source"
             if detections
             else "nothing was heard"
         )
