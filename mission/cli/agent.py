@@ -85,7 +85,6 @@ def agent(
 
     from fieldkit import plugins
     from fieldkit.clock import RealClock
-    from fieldkit.engine.decentralised.sealing import parse_key
     from fieldkit.errors import ConfigError
     from fieldkit.files import write_whole
     from fieldkit.ports import DriverContext
@@ -107,12 +106,7 @@ def agent(
     if not robot and not hold:
         raise ConfigError(f"--robot: which robot's computer is this? There are {', '.join(robots)}")
     card = card_of(mission, robots[0] if hold else robot, clock)
-    try:
-        secret = parse_key(key_file.read_text(encoding="ascii"), str(key_file))
-    except (OSError, UnicodeDecodeError):
-        raise ConfigError(
-            f"{key_file}: cannot be read; 'fieldkit agent {mission_file} --new-key' writes one, to be copied to all"
-        ) from None
+    secret = _secret(key_file, mission_file)
     wires = {"listen": listen or [], "connect": connect or [], "scouting": scouting}
     topic = _topic(secret)
     network = plugins.load("fieldkit.networks", "zenoh")(topic, wires, DriverContext(clock, mission.frame))
@@ -159,6 +153,19 @@ def _print_held(said: dict[str, str], *, as_json: bool) -> None:
             always=True,
         )
         raise typer.Exit(UNCONFIRMED_EXIT)
+
+
+def _secret(key_file: Path, mission_file: Path) -> bytes:
+    """The mission's key. Raises `ConfigError` where there is none."""
+    from fieldkit.engine.decentralised.sealing import parse_key
+    from fieldkit.errors import ConfigError
+
+    try:
+        return parse_key(key_file.read_text(encoding="ascii"), str(key_file))
+    except (OSError, UnicodeDecodeError):
+        raise ConfigError(
+            f"{key_file}: cannot be read; 'fieldkit agent {mission_file} --new-key' writes one, to be copied to all"
+        ) from None
 
 
 def _topic(secret: bytes) -> str:
