@@ -3,6 +3,7 @@
 import pytest
 
 from mission.lab.study import dprwa_agents
+from mission.lab.study.apart import LOOK_S
 from mission.lab.study.dprwa_agents import FIG3A, LATE_S, Watch, flock, trial
 from mission.lab.study.experiment import Job
 from mission.lab.study.prwa import engine
@@ -19,7 +20,7 @@ def test_the_value_of_figure_3a_is_what_is_held(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(Watch, "look", lambda self: True)
     monkeypatch.setattr(Watch, "told", lambda self, time_s: {"value": time_s, "most_held": 7})
     row = trial(Job(FIG3A.name, "agents", 15, 3))
-    assert (row["value"], row["time_s"]) == (7, dprwa_agents.LOOK_S)
+    assert (row["value"], row["time_s"]) == (7, LOOK_S)
     monkeypatch.setattr(dprwa_agents, "replicas", lambda job: {"value": job.study, "method": job.method})
     assert trial(Job(FIG3A.name, "replicas", 15, 3)) == {"value": "dprwa-fig3a", "method": "dprwa"}
 

@@ -121,13 +121,11 @@ class DprwaApartPlanner(DprwaPlanner):
                 self.meetings_ns.append((ring_ns + round(meeting.t_s * 1e9), first, second))
 
     def _rest(self, situation: Situation, due: set[str]) -> Plan:
-        """Before the ring begins only the way to it: who is there asks again, so that its beginning is kept."""
-        if situation.t_ns >= self.ring_ns:
-            return super()._rest(situation, due)
-        ways = self._ways
+        """Before its ring begins a robot has only the way to it: who is there asks again, and its beginning is kept."""
+        ways, now_ns = self._ways, situation.t_ns
         self._ways = {
             # Without the corner at which it would wait for the others: robots on a path drive slowly instead.
-            robot: (t_ns[2:3], place[2:3])
+            robot: (t_ns[2:3], place[2:3]) if now_ns < t_ns[2] else (t_ns, place)
             for robot, (t_ns, place) in ways.items()
         }
         try:

@@ -24,6 +24,7 @@ from fieldkit.world.sources import TransientSource, random_sources
 from mission.core.kernel_settings import KernelSettings
 from mission.lab.flock import START_NS, Flock
 from mission.lab.simulate import Truth
+from mission.lab.study.apart import LOOK_S
 from mission.lab.study.dprwa import RANGE_M, RATE_HZ, ROBOTS, SOURCES
 from mission.lab.study.dprwa import trial as replicas
 from mission.lab.study.experiment import Experiment, Job, run
@@ -34,8 +35,6 @@ from mission.safety.limits import SafetySettings
 
 PLANNERS = {"agents": "dprwa-apart", "agents-random-walk": "pair-random-walk"}
 METHODS = (*PLANNERS, "replicas")
-LOOK_S = 5.0
-"""Time between looks at who is in range, and at what is found."""
 LATE_S = 10.0
 """A meeting is kept where the teams were in range no further from its time than this."""
 
