@@ -2,7 +2,8 @@
 
 The first one ends the mission: every vehicle is ordered to hold until it shows it. A second one changes nothing and
 says who has not shown it yet. A third one leaves, naming them. SIGHUP comes when a terminal closes or ssh drops: the
-vehicles must not learn of it later than the operator.
+vehicles must not learn of it later than the operator. A shell passes it on to its jobs a moment later: after the first
+it leads to nothing outside of here either, and nothing is said to the closed terminal, so that the report is written.
 
 A terminal does not suspend a mission either: nobody would steer. Ctrl-Z holds all robots, and the mission goes on; one
 in the background neither reads nor is stopped for what is typed elsewhere.
@@ -10,6 +11,8 @@ in the background neither reads nor is stopped for what is typed elsewhere.
 
 import asyncio
 import contextlib
+import errno
+import os
 import signal
 from collections.abc import Callable, Iterator
 from types import FrameType
@@ -45,12 +48,14 @@ class StopSignals:
     ) -> None:
         self._first, self._again, self._last, self._suspend = first, again, last, suspend
         self.count = 0
+        self._terminal_gone = False
 
     def came(self, number: int) -> None:
         """A signal has come, in the event loop's thread."""
         if number in SUSPENDS:
             self._suspend()
             return
+        self._terminal_gone |= signal.Signals(number).name == "SIGHUP"
         self.count += 1
         if self.count == 1:
             self._first(signal.Signals(number).name)
@@ -88,3 +93,22 @@ class StopSignals:
                 loop.remove_signal_handler(number)
             for number, handler in before.items():
                 signal.signal(number, handler)
+            if self._terminal_gone:
+                with contextlib.suppress(ValueError):  # a thread that is not the main one
+                    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+                leave_closed_terminals()
+
+
+def leave_closed_terminals(descriptors: tuple[int, ...] = (1, 2)) -> None:
+    """Have nothing read what is said to a terminal that has gone: writing to it would be an error each time."""
+    import termios
+
+    for descriptor in descriptors:
+        try:
+            termios.tcgetattr(descriptor)
+        except termios.error as error:
+            if error.args[0] not in (errno.EIO, errno.ENXIO):  # a file or a pipe
+                continue
+            nothing = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nothing, descriptor)
+            os.close(nothing)
