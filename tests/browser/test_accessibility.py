@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from flying import Flown, found_wrong, looking
+from sizes import size
 
 from fieldkit.messages import SourceEstimate
 from fieldkit.recording.reader import open_recording
@@ -13,13 +14,14 @@ from mission.lab.synthetic import record_simulated
 from mission.page import serve
 
 pytest.importorskip("axe_playwright_python.sync_playwright", reason="pip install .[dev]")
-LOOKS = [
+ALL_LOOKS = [
     (1440, 900, "dark"),
     (1440, 900, "light"),
     (800, 600, "dark"),
     (390, 844, "light"),
     (390, 844, "dark"),
 ]
+LOOKS = size([ALL_LOOKS[1], ALL_LOOKS[4]], ALL_LOOKS)
 
 
 def show_all(flown: Flown) -> None:

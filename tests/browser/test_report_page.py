@@ -10,16 +10,22 @@ from fieldkit.cli import build
 from mission.lab.synthetic import record_simulated
 
 
-@pytest.fixture
-def tab(browser: Any, tmp_path: Path) -> Any:
-    recorded = record_simulated(tmp_path, duration_s=150.0, sources_found=9)
-    done = CliRunner().invoke(build(), ["report", str(recorded), "-o", str(tmp_path / "report.html")])
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    recorded = record_simulated(folder, duration_s=150.0, sources_found=9)
+    done = CliRunner().invoke(build(), ["report", str(recorded), "-o", str(folder / "report.html")])
     assert done.exit_code == 0, done.output
+    return folder / "report.html"
+
+
+@pytest.fixture
+def tab(browser: Any, report: Path) -> Any:
     context = browser.new_context(viewport={"width": 1300, "height": 900}, offline=True)
     tab = context.new_page()
     faults: list[str] = []
     tab.on("pageerror", lambda error: faults.append(str(error)))
-    tab.goto((tmp_path / "report.html").as_uri())
+    tab.goto(report.as_uri())
     yield tab
     context.close()
     assert not faults

@@ -2,6 +2,8 @@
 
 from collections import Counter
 
+from sizes import size
+
 from fieldkit.recording.records import Contents, walk
 from mission.lab.campaign import damage, kills
 from mission.lab.synthetic import record_simulated
@@ -12,10 +14,10 @@ def quietly(share: float, text: str) -> None:
 
 
 def test_no_cut_and_no_flipped_bit_goes_unnoticed() -> None:
-    result = damage.run(60, 3, quietly)
+    result = damage.run(files := size(15, 60), 3, quietly)
     for row in result["scenarios"].values():
         assert row["silently_wrong"] == row["crashed"] == row["unharmed"] == 0
-        assert row["warned"] + row["refused"] == 60
+        assert row["warned"] + row["refused"] == files
 
 
 def test_the_damage_campaign_would_notice_a_wrong_message(tmp_path) -> None:

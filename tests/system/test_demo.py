@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from sizes import size
 
 from fieldkit.clock import wall_s, wall_sleep
 from fieldkit.errors import RecordingError
@@ -42,6 +43,9 @@ def test_the_demo_leaves_all_its_files(demo: dict) -> None:
     assert "<svg" in (folder / "report.html").read_text()
 
 
+@pytest.mark.skipif(
+    not size("", "long"), reason="replayed with FIELDKIT_LONG=1; shorter missions on wires are"
+)
 def test_the_demos_recording_replays_bit_for_bit(demo: dict) -> None:
     done = replay(Path(demo["recording"]))
     assert done.complete

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sizes import size
 
 from fieldkit.channel.antenna_file import AntennaFile
 from fieldkit.channel.pattern import lobe_gain_db
@@ -32,7 +33,7 @@ SYSTEMS = {
 }
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", size(["prwa", "rwa"], list(SYSTEMS)))
 def test_a_system_of_the_papers_flies_the_live_path(name: str, tmp_path: Path) -> None:
     engine, robots, antenna = SYSTEMS[name]
     mission = small_mission(

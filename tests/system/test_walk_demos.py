@@ -18,7 +18,7 @@ pytestmark = pytest.mark.timeout(600)
 LONG = pytest.mark.skipif(
     not os.environ.get("FIELDKIT_LONG"), reason="flown with FIELDKIT_LONG=1; its wire has tests of its own"
 )
-NAMED = ("xbee", "yagi")
+NAMED = ("yagi",)
 """Quick starts that are not flown by their page in a browser as well (lora and the drone are)."""
 
 
