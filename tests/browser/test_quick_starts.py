@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 from flying import looking, wait_until
+from sizes import size
 
 PAGES = Path(__file__).parents[2] / "docs" / "quickstart"
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
@@ -81,7 +82,7 @@ def wait_for(tab: Any, running: Started, shown: str) -> None:
     raise AssertionError(f"not shown within {LONGEST_S} s: {shown}")
 
 
-@pytest.mark.parametrize("page", ["lora.md", "drone.md"])
+@pytest.mark.parametrize("page", size(["lora.md"], ["lora.md", "drone.md"]))
 def test_a_newcomer_sees_a_transmitter_found_on_a_phone(page: str, browser: Any, tmp_path: Path) -> None:
     on_foot = page != "drone.md"
     with started(page, tmp_path) as running:

@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from sizes import size
 
 from calibration import output
 from calibration.dataset import from_arrays
@@ -53,7 +54,7 @@ def test_there_is_always_a_verdict_or_an_error_of_ours(block):
 
 
 def test_a_report_can_be_written_of_any_fit():
-    for seed in range(6):
+    for seed in range(size(2, 6)):
         readings, options = odd_readings(seed)
         try:
             result = fit(readings, options)

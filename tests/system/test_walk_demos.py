@@ -19,7 +19,7 @@ LONG = pytest.mark.skipif(
     not os.environ.get("FIELDKIT_LONG"), reason="flown with FIELDKIT_LONG=1; its wire has tests of its own"
 )
 NAMED = ("yagi",)
-"""Quick starts that are not flown by their page in a browser as well (lora and the drone are)."""
+"""Quick starts that are not flown by their page in a browser as well (lora is, and the drone with FIELDKIT_LONG=1)."""
 
 
 @pytest.mark.parametrize(
