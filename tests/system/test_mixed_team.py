@@ -13,13 +13,13 @@ from mission.lab.demo import fly
 from mission.shell import setups
 from mission.shell.warm_up import warm_up
 
-RATE = 5.0
+RATE = 3.0
 
 
 @pytest.mark.timeout(400)
 def test_two_rovers_and_two_copters_find_what_is_hidden_on_emulated_wires(tmp_path: Path) -> None:
     kinds = ["rover", "rover", "copter", "copter"]
-    # On a busy machine a step of the kernel takes a second of the wall, five of the mission.
+    # On a busy machine a step of the kernel takes seconds of the wall, each three of the mission.
     mission = read_mission(mission_file(tmp_path, kinds, 14550, 14560, overrun_s=30.0))
     sources = tuple(TransientSource(east_m, north_m, 0.0, 0.2) for east_m, north_m in HIDDEN_M)
     warm_up(
