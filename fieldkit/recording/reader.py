@@ -249,6 +249,15 @@ IN_A_RUN = "mission.mcap"
 """The recording in the folder of a run."""
 
 
+def recording_at(path: Path) -> Path:
+    """The file of a recording, or of the one in the folder of a run. Raises `RecordingError` where there is none."""
+    if path.is_dir() and (path / IN_A_RUN).is_file():
+        path = path / IN_A_RUN
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such recording; name the mission.mcap in a folder under runs/")
+    return path
+
+
 def open_recording(path: Path | str) -> Recording:
     """Open a recording, or the one in the folder of a run.
 
@@ -257,11 +266,7 @@ def open_recording(path: Path | str) -> Recording:
     Raises `RecordingError` where the file is missing, closed to us, empty, not a recording, from a newer schema, or cut
     before its first chunk was on disk.
     """
-    path = Path(path)
-    if path.is_dir() and (path / IN_A_RUN).is_file():
-        path = path / IN_A_RUN
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such recording; name the mission.mcap in a folder under runs/")
+    path = recording_at(Path(path))
     try:
         return _opened(path)
     except RecordingError:

@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, Writer
 
 from fieldkit.errors import RecordingError
 from fieldkit.recording.codec import encode_value
-from fieldkit.recording.reader import parts_of
+from fieldkit.recording.reader import parts_of, recording_at
 from fieldkit.recording.records import NO_INDEX, Contents, is_whole, walk
 from fieldkit.recording.schema import HEADER, HEADER_COPY, PROFILE
 from fieldkit.recording.writer import CHUNK_BYTES, close_chunk
@@ -32,12 +32,13 @@ def rewrite(
 ) -> list[str]:
     """Write the intact messages of `path_in`, edited, to `path_out` as a whole, verified file; what is missing.
 
-    A recording in parts becomes one file.
+    A recording in parts becomes one file. `path_in` may be the folder of a run, as in `open_recording`.
 
     `path_out` must not exist; it appears only once it is complete and has been read back.
     """
     if path_out.exists():
         raise RecordingError(f"{path_out}: exists already; name another file")
+    path_in = recording_at(path_in)
     partial = path_out.with_name(f".{path_out.name}.part")
     parts, problems = parts_of(path_in)
     try:

@@ -3,8 +3,11 @@
 import json
 import tomllib
 
+import pytest
+
+from fieldkit.errors import RecordingError
 from fieldkit.messages import RssReading, Tick, VehicleState
-from fieldkit.recording import RecordingWriter, open_recording
+from fieldkit.recording import RecordingWriter, open_recording, recover
 from fieldkit.recording.records import Contents, walk
 from fieldkit.recording.redact import redact
 
@@ -68,3 +71,13 @@ def test_the_place_is_kept_on_request(tmp_path):
     redact(make(tmp_path / "m.mcap"), out, keep_place=True)
     assert tomllib.loads(open_recording(out).mission_toml)["field"]["origin_lat_deg"] == 47.3977
     assert json.dumps(open_recording(out).mission_toml).count("ecret") == 0
+
+
+@pytest.mark.parametrize("rewritten", [redact, recover])
+def test_the_folder_of_a_run_is_named_as_well_as_its_recording(tmp_path, rewritten):
+    (tmp_path / "run").mkdir()
+    make(tmp_path / "run/mission.mcap")
+    rewritten(tmp_path / "run", tmp_path / "out.mcap")
+    assert open_recording(tmp_path / "out.mcap").complete
+    with pytest.raises(RecordingError, match=r"no such recording; name the mission\.mcap"):
+        rewritten(tmp_path / "none.mcap", tmp_path / "other.mcap")
