@@ -68,9 +68,9 @@ function showStale() {
   if (box.textContent !== words) { box.textContent = words; box.hidden = !words; document.body.classList.toggle("stale", Boolean(words)); }
 }
 
-// Words every 0.4 s, the map every 0.25 s, the chart every 2 s: nobody reads faster, and a phone in the field has one
-// battery. The map is drawn at once where a finger moves it.
-const EVERY_MS = { words: 400, map: 250, ring: 50, chart: 2000 };
+// Words every half second, as frames come, the map three times a second, the chart every 2 s: nobody reads faster, and a
+// phone in the field has one battery. The map is drawn at once where a finger moves it.
+const EVERY_MS = { words: 500, map: 330, ring: 50, chart: 2000 };
 const last = { words: 0, map: 0, ring: 0, chart: 0 };
 /** @param {keyof typeof last} what @param {number} now_ms */
 function due(what, now_ms) {
