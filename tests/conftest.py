@@ -40,7 +40,6 @@ LONG = tuple(
     )
 )  # fmt: skip
 """Tests that fly whole missions, or do one thing hundreds of times. What they reach, others reach too."""
-SLOW_ROOMS = ("browser", "mission", "system")
 ENDING_S = 5.0
 """How long threads may take that were told to end: they poll a port or a socket."""
 
@@ -81,24 +80,24 @@ def nothing_is_left_running() -> Iterator[None]:
         pytest.fail(f"the test leaves threads running: {', '.join(alive)}")
 
 
-def _longest_first(items: list[pytest.Item]) -> None:
-    """Files of the rooms that wait for wires, browsers and whole missions come first, the rooms by turns.
+def _rooms_by_turns(items: list[pytest.Item]) -> None:
+    """A file of each room, then the next of each: what waits for wires and browsers runs beside what is short.
 
-    What is short comes last, so that several processes of tests end together.
+    All at once they would starve each other, and all at the end one process would be waited for.
     """
     places: dict[Path, int] = {}
     of_room: Counter[str] = Counter()
     for item in items:
         if item.path not in places:
             room = item.path.parent.name
-            places[item.path] = of_room[room] if room in SLOW_ROOMS else len(items)
+            places[item.path] = of_room[room]
             of_room[room] += 1
     items.sort(key=lambda item: places[item.path])
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The order of the tests, and which of them coverage is counted in."""
-    _longest_first(items)
+    _rooms_by_turns(items)
     _count_coverage(items)
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sizes import size
 
 from fieldkit import jumploop
 from mission.lab.study import fault_flight, fault_judge, fault_kinds
@@ -27,7 +26,7 @@ def test_faults_come_from_the_seed_and_every_kind_comes_up() -> None:
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fault_kinds, "SMALL", replace(SMALL, duration_s=size(25.0, 40.0)))
+    monkeypatch.setattr(fault_kinds, "SMALL", replace(SMALL, duration_s=40.0))
 
 
 @pytest.mark.usefixtures("short")

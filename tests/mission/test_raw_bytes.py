@@ -17,7 +17,7 @@ def recorded(folder: Path, more: str) -> Path:
     file = folder / "mission.toml"
     file.write_text(file.read_text() + more)
     mission = read_mission(file)
-    with setups.emulated(mission, hidden_sources(1), seed=1, rate=8.0) as setup:
+    with setups.emulated(mission, hidden_sources(1), seed=1, rate=4.0) as setup:
         fly(mission, setup, folder / "mission.mcap")
     return folder / "mission.mcap"
 

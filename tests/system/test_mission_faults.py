@@ -16,7 +16,7 @@ from mission.shell.warm_up import warm_up
 
 
 def test_an_unplugged_radio_and_a_lost_link_stop_neither_mission_nor_record(tmp_path: Path) -> None:
-    mission = small_mission(tmp_path, duration_s=70.0)
+    mission = small_mission(tmp_path, duration_s=110.0)
     warm_up(mission)
     sources = (TransientSource(5.0, 4.0, 0.0, 0.3),)
 
