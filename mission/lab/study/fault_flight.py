@@ -151,19 +151,18 @@ async def _run(flight: Flight, port: int, past: Path | None) -> str:
     setup = Setup(flight.clock, tuple(flight.radios.values()), links)
     path = flight.folder / f"mission-{len(flight.recordings)}.mcap"
     flight.recordings.append(path)
-    recorder = RecordingWriter(
+    with RecordingWriter(
         path,
         mission_toml=flight.mission.text,
         antenna_toml=flight.mission.antenna_text,
         start_ns=0 if past is not None else flight.clock.now_ns(),
-    )
-    runner = flight.runner = Runner(flight.mission, setup, recorder)
-    if past is not None:
-        recording = open_recording(past)
-        resumable(recording)
-        runner.rebuild(recording.steps())
-    reason = await runner.run()
-    recorder.close()
+    ) as recorder:
+        runner = flight.runner = Runner(flight.mission, setup, recorder)
+        if past is not None:
+            recording = open_recording(past)
+            resumable(recording)
+            runner.rebuild(recording.steps())
+        reason = await runner.run()
     flight.ended_s = flight.clock.elapsed_s()
     return reason
 
