@@ -8,7 +8,16 @@ import typer
 
 from fieldkit import settings as given
 from mission.cli.missions import UNCONFIRMED_EXIT
-from mission.cli.options import HostOption, JsonOption, PortOption, print_json, run_folder, say, shown_page
+from mission.cli.options import (
+    HostOption,
+    JsonOption,
+    PortOption,
+    before_the_start,
+    print_json,
+    run_folder,
+    say,
+    shown_page,
+)
 
 KEY_FILE = "mission.key"
 HOLD_S = 15.0
@@ -118,7 +127,8 @@ def agent(
     resumed = interrupted(out, card)
     options = Options(robot, secret, contact_m, bytes_s, override, resumed)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
-    warm_up(mission)
+    with before_the_start():
+        warm_up(mission)
     if mission.kernel.planner == "dprwa":
         say(
             "engine.planner is dprwa: robots out of contact will not meet as planned; 'dprwa-apart' keeps meetings"
@@ -130,6 +140,7 @@ def agent(
         say(f"goes on with what {robot} knew: {resumed}", always=True)
     say(f"{robot} records to {folder}; looks for others {network.where}")
     with (
+        before_the_start(),
         shown_page(mission, page, page_host, page_port) as shown,
         Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
     ):

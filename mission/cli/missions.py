@@ -14,6 +14,7 @@ from mission.cli.options import (
     JsonOption,
     PageOption,
     PortOption,
+    before_the_start,
     begun_folder,
     informed_maps,
     print_json,
@@ -30,6 +31,7 @@ UNCONFIRMED_EXIT = 4
 """Exit code of a mission whose vehicles have not all shown that they hold."""
 
 
+@before_the_start()
 def run(
     mission_file: Annotated[
         Path | None, typer.Argument(metavar="MISSION.TOML", help="The mission file; not with --resume.")

@@ -50,6 +50,24 @@ def print_code(address: str) -> None:
 
 
 @contextmanager
+def before_the_start() -> Iterator[None]:
+    """A signal that comes while a mission is prepared ends the command, and says that nothing has moved."""
+    from mission.shell.signals import StoppedEarly, early, leave_closed_terminals
+
+    try:
+        with early():
+            yield
+    except StoppedEarly as stopped:
+        if stopped.terminal_gone:
+            leave_closed_terminals()
+        say(
+            f"fieldkit: {stopped.why} before the mission began: nothing was started, no vehicle was given an order",
+            always=True,
+        )
+        raise SystemExit(128 + stopped.number) from None
+
+
+@contextmanager
 def shown_page(mission: "Mission", wanted: bool, host: str, port: int) -> "Iterator[LivePage | None]":
     """The live page, and where to find it, on standard error."""
     if not wanted:

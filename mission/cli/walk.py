@@ -13,6 +13,7 @@ from mission.cli.options import (
     JsonOption,
     PageOption,
     PortOption,
+    before_the_start,
     begun_folder,
     informed_maps,
     may_hold_runs,
@@ -41,6 +42,7 @@ IN_THE_FILE = {
 """Where a mission file says what these options say without one."""
 
 
+@before_the_start()
 def walk(
     context: typer.Context,
     mission_file: Annotated[

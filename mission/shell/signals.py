@@ -33,6 +33,38 @@ WHY = {
 """A signal's name to the reason that stands on every surface."""
 
 
+class StoppedEarly(KeyboardInterrupt):
+    """The signal `number` came before there was a mission to answer it; `why` says so to people."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        name = signal.Signals(number).name
+        self.number, self.why, self.terminal_gone = number, WHY[name], name == "SIGHUP"
+
+
+def _stopped_early(number: int, _: FrameType | None) -> None:
+    raise StoppedEarly(number)
+
+
+@contextlib.contextmanager
+def early() -> Iterator[None]:
+    """Each of `STOPS` raises `StoppedEarly` inside here, until `StopSignals.caught` takes them over for good.
+
+    A signal that is ignored (nohup) stays ignored.
+    """
+    before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
+    for number in STOPS:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            with contextlib.suppress(ValueError):  # a thread that is not the main one
+                before[number] = signal.signal(number, _stopped_early)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if signal.getsignal(number) is _stopped_early:
+                signal.signal(number, handler)
+
+
 class StopSignals:
     """What each signal in turn leads to: `first` ends the mission, `again` speaks, `last` stops waiting.
 
@@ -91,8 +123,8 @@ class StopSignals:
         finally:
             for number in by_loop:
                 loop.remove_signal_handler(number)
-            for number, handler in before.items():
-                signal.signal(number, handler)
+            for number, handler in before.items():  # after a mission it is not early any more
+                signal.signal(number, signal.default_int_handler if handler is _stopped_early else handler)
             if self._terminal_gone:
                 with contextlib.suppress(ValueError):  # a thread that is not the main one
                     signal.signal(signal.SIGHUP, signal.SIG_IGN)
