@@ -117,6 +117,10 @@ class Log:
 
     def between(self, name: str, from_s: float | None, to_s: float | None) -> np.ndarray:
         """The rows of a table from `from_s` to `to_s`. Raises `DataError` for a range outside the log."""
+        if from_s is not None and to_s is not None and from_s > to_s:
+            raise DataError(
+                f"{self.path}: from {from_s:g} s is later than to {to_s:g} s; give the earlier one first"
+            )
         rows = self.table(name)
         if from_s is None and to_s is None:
             return rows

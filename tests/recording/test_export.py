@@ -134,7 +134,7 @@ def nothing_new(folder: Path) -> bool:
     ("out", "what", "options", "error", "says"),
     [
         ("p.csv", ("poses",), {"from_s": 100.0}, DataError, "the log goes from"),
-        ("p.csv", ("poses",), {"from_s": 2.0, "to_s": 1.0}, DataError, "nothing from 2 s to 1 s"),
+        ("p.csv", ("poses",), {"from_s": 2.0, "to_s": 1.0}, DataError, "from 2 s is later than to 1 s"),
         ("p.xls", ("poses",), {}, ConfigError, "csv, parquet, geojson"),
         ("p.csv", ("poses", "readings"), {}, ConfigError, "one table"),
         ("p.csv", ("pose",), {}, ConfigError, "tables are"),
