@@ -23,6 +23,7 @@ from mission.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from fieldkit.recording.reader import Recording
     from mission.replay.command import Changes
     from mission.shell.recorder import Follower
     from mission.shell.runner import Runner
@@ -218,6 +219,7 @@ def replay(
     Example: fieldkit replay mission.mcap --set engine.found_probability=0.95
     """
     from fieldkit.errors import ConfigError, FieldkitError
+    from fieldkit.recording.reader import open_recording
     from mission.replay.command import Changes, replay_one
     from mission.replay.pace import Pace, line
 
@@ -230,8 +232,9 @@ def replay(
     for log in logs:
         pace = None if speed is None else Pace(speed, lambda now: say(line(now)))
         try:
-            with _replay_page(log, changed, page) as followers:
-                plain = replay_one(log, changed, until_s=until, on_step=pace, followers=followers)
+            recording = open_recording(log)  # which says what is missing, once
+            with _replay_page(recording, changed, page) as followers:
+                plain = replay_one(recording, changed, until_s=until, on_step=pace, followers=followers)
         except FieldkitError as error:
             if single:
                 raise
@@ -254,8 +257,6 @@ def _print_replayed(log: Path, plain: dict[str, Any], *, single: bool) -> None:
     if "error" in plain:
         typer.echo(f"{log}: {plain['error']}")
         return
-    if plain["missing"]:
-        say(f"note: {log} is not whole: {plain['missing']}")
     typer.echo(
         f"{log}: {plain['events']} events, {plain['duration_s']:.0f} s of mission, {plain['times_real_time']:.0f} "
         f"times real time: {plain['verdict']}\n"
@@ -360,15 +361,16 @@ def check(
 
 
 @contextmanager
-def _replay_page(log: Path, changes: "Changes", wanted: bool) -> "Iterator[tuple[Follower, ...]]":
+def _replay_page(
+    recording: "Recording", changes: "Changes", wanted: bool
+) -> "Iterator[tuple[Follower, ...]]":
     """The page a replay is watched in; nobody follows where it is not wanted."""
     if not wanted:
         yield ()
         return
-    from fieldkit.recording.reader import open_recording
     from mission.page import serve
     from mission.replay.command import changed_mission
 
-    with serve.live(changed_mission(open_recording(log), changes)) as shown:
+    with serve.live(changed_mission(recording, changes)) as shown:
         say(f"to look, open  {shown.page.address}", always=True)
         yield (shown.follower,)

@@ -36,7 +36,7 @@ class Changes:
 
 
 def replay_one(
-    log: Path,
+    log: Path | Recording,
     changes: Changes,
     *,
     until_s: float | None = None,
@@ -48,7 +48,8 @@ def replay_one(
     Raises `ReplayMismatch` where a check fails, `DataError` where `until_s` lies outside the log or an antenna is
     given that the mission was not flown with.
     """
-    recording = open_recording(log)
+    recording = log if isinstance(log, Recording) else open_recording(log)
+    log = recording.path
     lasts_s = recording.summary()["duration_s"] if until_s is not None else 0.0
     if until_s is not None and not 0.0 < until_s <= lasts_s:
         raise DataError(f"{log}: --until {until_s:g} s lies outside the log, which lasts {lasts_s:.1f} s")
@@ -71,7 +72,7 @@ def replay_one(
             on_step(t_s, event, outcome, kernel)
 
     done = replay(
-        log, mission=mission, check=not different, until_s=until_s, on_step=keep, followers=followers
+        recording, mission=mission, check=not different, until_s=until_s, on_step=keep, followers=followers
     )
     plain: dict[str, Any] = {
         "recording": str(log),

@@ -109,7 +109,7 @@ def same_antenna(recording: Recording, mission: Mission, given: Path) -> None:
 
 
 def replay(
-    path: Path,
+    log: Path | Recording,
     *,
     mission: Mission | None = None,
     check: bool = True,
@@ -117,14 +117,14 @@ def replay(
     on_step: Callable[[float, Event, Outcome, Kernel], None] | None = None,
     followers: Sequence[Follower] = (),
 ) -> Replayed:
-    """Feed the recorded inbox through a fresh kernel and safety.
+    """Feed the recorded inbox of `log` through a fresh kernel and safety.
 
     With `check`, every command and every recorded belief digest must come out the same: `ReplayMismatch` names the
     first event that differs. Without, the outcome is a what-if: another antenna, belief or planner on the same inbox.
     `on_step` is called after each event with its mission time, to pace a replay. `followers` are given everything as
     the mission's own would be: a live page, another recording.
     """
-    recording = open_recording(path)
+    recording = log if isinstance(log, Recording) else open_recording(log)
     mission = mission or recorded_mission(recording)
     kernel, safety = Kernel(mission.kernel), Safety(mission.safety)
     expected = _Expected(recording) if check else None
@@ -149,7 +149,7 @@ def replay(
         if on_step is not None:
             on_step(t_s, step.event, outcome, kernel)
     if count == 0:
-        raise RecordingError(f"{path}: it holds no events")
+        raise RecordingError(f"{recording.path}: it holds no events")
     if expected is not None and until_s is None:
         expected.compare_end(kernel)
     return Replayed(

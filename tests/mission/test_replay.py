@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from fieldkit.channel.antenna_file import read_antenna
+from fieldkit.cli import build
 from fieldkit.errors import RecordingError, ReplayMismatch
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.rewrite import rewrite
@@ -42,6 +44,19 @@ def test_a_cut_recording_replays_as_far_as_it_goes(
     done = replay(cut)
     assert not done.complete and done.missing
     assert 0 < done.events < whole.events
+
+
+@pytest.mark.parametrize("options", [[], ["--speed", "1000", "--page"], ["--what-if"]])
+def test_what_a_cut_recording_misses_is_said_once(
+    log: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, options: list[str]
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    data = log.read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    done = CliRunner().invoke(build(), ["replay", str(cut), "--until", "3", *options])
+    said = caplog.text + done.output
+    assert done.exit_code == 0, said
+    assert said.count("cut, or still being written") == 1, said
 
 
 def test_another_antenna_is_noticed_and_the_event_named(log: Path, tmp_path: Path) -> None:
