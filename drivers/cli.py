@@ -123,6 +123,7 @@ def field(
     import numpy as np
 
     from drivers.emulators.alone import run_field, write_mission
+    from drivers.emulators.claims import claimed_folder
     from drivers.emulators.field import EmulatedRobot
     from fieldkit.world.sources import random_sources
 
@@ -133,7 +134,8 @@ def field(
     team = tuple(
         EmulatedRobot(f"robot{n + 1}", n + 1, size_m * (n + 0.5) / robots, 0.5) for n in range(robots)
     )
-    run_field(team, tuple(hidden), address, ORIGIN_DEG, SPEED_M_S, rate, seed, write)
+    with claimed_folder(out):
+        run_field(team, tuple(hidden), address, ORIGIN_DEG, SPEED_M_S, rate, seed, write)
 
 
 @emulate.command()

@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from drivers.emulators.capture import PipeSniffer
+from drivers.emulators.claims import claimed_vehicles
 from drivers.emulators.defaults import HIDDEN_HZ
 from drivers.emulators.field import EmulatedRobot, FieldSpec, start
 from drivers.emulators.printer import PrintingRadio
@@ -125,7 +126,7 @@ def run_field(
     spec = FieldSpec(
         clock, frame, ANTENNA, sources, robots, address, seed, pose_noise_m=0.02, max_speed_m_s=max_speed_m_s
     )
-    with start(spec) as running:
+    with claimed_vehicles(address, [robot.system_id for robot in robots]), start(spec) as running:
         typer.echo(f'rovers send to {address}: vehicle address = "udpin:{address}"')
         for robot in robots:
             port = running.receiver_ports[robot.name]

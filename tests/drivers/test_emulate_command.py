@@ -54,8 +54,8 @@ def test_what_cannot_be_emulated_is_refused_at_once(arguments, says):
         (["sniffer", "--kind", "pcap"], 'driver = "pcap"'),
         (["printer", "--style", "esp32-ble"], 'map = "esp32-ble"'),
         (["rover", "--address", "127.0.0.1:9"], "udpin:127.0.0.1:9"),
-        (["rover", "--firmware", "copter", "--address", "127.0.0.1:9"], "copter: system_id = 1"),
-        (["field", "--robots", "2", "--address", "127.0.0.1:9"], "hidden transmitter"),
+        (["rover", "--firmware", "copter", "--address", "127.0.0.1:19"], "copter: system_id = 1"),
+        (["field", "--robots", "2", "--address", "127.0.0.1:29"], "hidden transmitter"),
     ],
 )
 def test_says_where_to_connect_and_ends_with_ctrl_c(tmp_path, arguments, words):
@@ -68,6 +68,7 @@ def test_says_where_to_connect_and_ends_with_ctrl_c(tmp_path, arguments, words):
         stderr=subprocess.STDOUT,
         text=True,
         env=environment,
+        cwd=tmp_path,
     ) as process:
         said = ""
         for line in process.stdout:
