@@ -121,6 +121,8 @@ def walk(
                 'vehicle = { driver = "person", address = "page" }'
             )
     else:
+        if not name.strip():
+            raise ConfigError(f"--name: expected what to call whoever walks, got '{name}'; or leave it out")
         _all_there(receiver, gnss, antenna, background)
         may_hold_runs(out)
         if page:

@@ -1,6 +1,7 @@
 """mission.toml: read, checked at this edge, and turned into what kernel, safety and setups are given."""
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -118,10 +119,19 @@ def parse_mission(text: str, where: str) -> MissionFile:
     try:
         file = MissionFile.model_validate(raw)
     except pydantic.ValidationError as error:
-        raise ConfigError("\n".join(_explain(where, problem) for problem in error.errors())) from None
+        problems = [_explain(where, each) for each in error.errors() if not _follows(each, error.errors())]
+        raise ConfigError("\n".join(problems)) from None
     _check_robots(file, where)
     _check_names(file, where)
     return file
+
+
+def _follows(problem: Any, problems: Sequence[Any]) -> bool:
+    """A list counts as too short where one of its rows is refused: the row is what is to be mended."""
+    loc = problem["loc"]
+    return problem["type"] == "too_short" and any(
+        each["loc"][: len(loc)] == loc and len(each["loc"]) > len(loc) for each in problems
+    )
 
 
 def _explain(where: str, problem: Any) -> str:

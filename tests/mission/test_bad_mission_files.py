@@ -9,7 +9,7 @@ import pytest
 from fieldkit.channel.antenna_file import read_antenna
 from fieldkit.errors import ConfigError
 from mission.core.mission_file import parse_mission, read_mission
-from mission.core.template import mission_text
+from mission.core.template import TemplateRobot, mission_text
 
 TEXT = mission_text(size_m=25.0)
 
@@ -131,3 +131,11 @@ def test_robots_that_fly_get_heights_of_their_own() -> None:
     assert heights.keys() == {"r1", "r2", "r3"} and heights["r2"] == 11.0
     ordered = sorted(heights.values())
     assert min(b - a for a, b in itertools.pairwise(ordered)) >= 3.0
+
+
+def test_of_a_robot_that_is_refused_nothing_more_is_said_than_why() -> None:
+    text = mission_text(robots=[TemplateRobot("", "/dev/ttyUSB0", "udpin:0.0.0.0:14550", 1)])
+    with pytest.raises(ConfigError) as refused:
+        parse_mission(text, "m.toml")
+    (line,) = str(refused.value).splitlines()
+    assert line.startswith("m.toml: robot.0.name: "), line

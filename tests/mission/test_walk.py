@@ -331,7 +331,15 @@ def test_a_walk_that_found_nothing_counts_as_longer_than_all_others() -> None:
         ([*DEVICES, "--receiver", "x,nobody"], "(lines): option 'map': expected one of json"),
         ([*DEVICES, "--receiver", ",rylr"], "--receiver ,rylr: expected a port, as in"),
         ([*DEVICES, "--cot", "nonsense"], "maps.cot: expected udp://HOST:PORT"),
-        ([*DEVICES, "--name", ""], "robot.0.name: string should have at least 1"),
+        ([*DEVICES, "--name", ""], "--name: expected what to call whoever walks, got ''; or leave it out"),
+        (
+            [*DEVICES, "--gnss", "foo://x"],
+            "foo://x: there are no foo:// addresses; expected gpsd://HOST[:PORT], or",
+        ),
+        (
+            [*DEVICES, "--receiver", "foo://x,rylr"],
+            "foo://x: there are no foo:// addresses; a port may be a serial",
+        ),
         (
             ["walk", "m.toml", "--receiver", "x,rylr"],
             "--receiver: with a mission file that is [[robot]] receiver in",
