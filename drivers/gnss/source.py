@@ -16,7 +16,7 @@ from drivers.bounded_queue import BoundedQueue
 from drivers.gnss.fixes import Fix, FixJudge
 from drivers.gnss.gpsd import GPSD_PORT, WATCH, GpsdReader
 from drivers.gnss.nmea import NmeaReader
-from drivers.lines.sources import open_source
+from drivers.lines.sources import open_source, refused_scheme
 from drivers.links import ByteLink, arrival_ns, device_and_baud
 from drivers.options import checked
 from drivers.timebase import DeviceStamps
@@ -33,13 +33,18 @@ NO_SENTENCE_S = 10.0
 NO_HEADING_M_S = 0.3
 """Slower than this a course over ground is noise: the last one holds."""
 
+PORTS = (
+    "gpsd://HOST[:PORT], or where NMEA comes from: DEVICE[:BAUD], socket://HOST:PORT, "
+    "tcp://HOST:PORT (waits for connections), udp://HOST:PORT"
+)
+
 
 @dataclass(frozen=True, slots=True)
 class GnssOptions:
     """What a mission file says of its satellite receivers."""
 
     robots: dict[str, Any] = field(default_factory=dict)
-    """Robot to its receiver: gpsd://HOST[:PORT], or where NMEA comes from: DEVICE[:BAUD], socket://, tcp://, udp://."""
+    """Robot to its receiver: one of `PORTS`."""
     baud: int = 9600
     max_speed_m_s: float = 15.0
     """No robot and no person is faster: a fix further away has jumped."""
@@ -58,6 +63,8 @@ def open_gnss(options: Mapping[str, Any], around: DriverContext) -> "GnssSource"
     for robot, port in chosen.robots.items():
         if not isinstance(port, str) or not port:
             raise ConfigError(f"{where}: robots.{robot}: expected a port, got {port!r}")
+        if not port.startswith("gpsd://") and (refused := refused_scheme(port)):
+            raise ConfigError(f"{where}: robots.{robot}: {port}: {refused}; expected {PORTS}")
         if list(chosen.robots.values()).count(port) > 1:
             raise ConfigError(
                 f"{where}: robots.{robot}: {port} is given to two robots; each has a receiver of its own"

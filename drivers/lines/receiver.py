@@ -12,7 +12,7 @@ from typing import Any
 
 from drivers.lines.mapping import Heard, LineMap, NoReadingError
 from drivers.lines.maps import MAPS
-from drivers.lines.sources import open_source
+from drivers.lines.sources import PORTS, open_source, refused_scheme
 from drivers.links import ByteLink, absent, arrival_ns
 from drivers.options import REMEDY, checked
 from drivers.threaded import ThreadedReceiver
@@ -74,6 +74,8 @@ def open_receiver(robot: str, options: Mapping[str, Any], around: DriverContext)
     given = checked(LinesOptions, options, where)
     if given.heartbeat_s is not None and not given.heartbeat_s > 0:
         raise ConfigError(f"{where}: option 'heartbeat_s': expected above 0, got {given.heartbeat_s:g}")
+    if refused := refused_scheme(given.port):
+        raise ConfigError(f"{where}: option 'port': {given.port}: {refused}; a port may be {PORTS}")
     return LinesReceiver(robot, given, map_of(given, where), around)
 
 

@@ -14,6 +14,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import serial
+
 from drivers.links import (
     READ_TIMEOUT_S,
     ByteLink,
@@ -39,11 +41,28 @@ PORTS = (
     "- (standard input), a file or pipe, mqtt://HOST/TOPIC, kismet://HOST:PORT, kismetdb:FILE"
 )
 
+SCHEMES = ("udp", "tcp", "mqtt", "kismet", "kismets")
+"""Before :// in addresses of our own; pyserial knows the others."""
+
+
+def refused_scheme(port: str) -> str:
+    """What to say of an address that begins with a scheme there is not; empty for any other port."""
+    scheme, separator, _ = port.partition("://")
+    if not separator or scheme in SCHEMES:
+        return ""
+    try:
+        serial.serial_for_url(port, do_not_open=True)
+    except (ValueError, OSError) as error:
+        return f"there are no {scheme}:// addresses" if "protocol" in str(error) else ""
+    return ""
+
 
 def open_source(
     port: str, baud: int, device: str, *, from_start: bool, tap: Callable[[bytes], None] | None = None
 ) -> ByteLink:
     """Open what `port` names. Raises `DeviceError` with the remedy."""
+    if refused := refused_scheme(port):
+        raise DeviceError(f"{device}: {port}: {refused}; a port may be {PORTS}")
     try:
         link = _open(port, baud, device, from_start)
     except DeviceError:
@@ -73,11 +92,11 @@ def _open(port: str, baud: int, device: str, from_start: bool) -> ByteLink:
         from drivers.lines.kismet import KismetDbLink
 
         return KismetDbLink(Path(port.removeprefix("kismetdb:")), from_start)
-    serial, own_baud = device_and_baud(port)
-    path = Path(serial.removeprefix("file:"))
+    name, own_baud = device_and_baud(port)
+    path = Path(name.removeprefix("file:"))
     if "://" not in port and path.exists() and not stat.S_ISCHR(path.stat().st_mode):
         return PipeLink(path) if stat.S_ISFIFO(path.stat().st_mode) else FileLink(path, from_start)
-    return JoinedLink(open_link(serial, own_baud or baud, device))
+    return JoinedLink(open_link(name, own_baud or baud, device))
 
 
 class JoinedLink:
