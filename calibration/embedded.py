@@ -11,6 +11,7 @@ import numpy as np
 from calibration.dataset import Readings
 from calibration.table import as_csv
 from fieldkit.errors import DataError
+from fieldkit.files import is_stream
 
 _LINK = re.compile(r'href="data:application/gzip;base64,([A-Za-z0-9+/=]*)"')
 
@@ -45,6 +46,8 @@ def readings_csv(readings: Readings) -> str:
 
 def readings_in(path: Path) -> str | None:
     """The readings a report carries, as CSV; None where it carries none. Raises `DataError` if damaged."""
+    if is_stream(path):
+        raise DataError(f"{path}: expected a report, got a pipe or device")
     try:
         found = _LINK.search(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from fieldkit.errors import DataError
+from fieldkit.files import is_stream
 from fieldkit.messages import FloatArray
 
 COLUMNS: dict[str, tuple[str, ...]] = {
@@ -109,6 +110,10 @@ def read_table(
 
     `text` is read in place of the file, which then only gives its name. Raises `DataError` naming file and line.
     """
+    if text is None and is_stream(path):
+        raise DataError(
+            f"{path}: expected a CSV of readings, got a pipe or device; write it into a file first"
+        )
     try:
         with path.open(newline="", encoding="utf-8-sig") if text is None else io.StringIO(text) as stream:
             header_line = stream.readline()

@@ -11,6 +11,14 @@ RECORDING = b"\x89MCAP"
 """A recording begins so. It cannot be had again, so nothing is ever written over it."""
 
 
+def is_stream(path: Path) -> bool:
+    """Whether a path is a pipe or a device: whoever reads one that nobody writes into waits for ever."""
+    try:
+        return path.exists() and not (path.is_file() or path.is_dir())
+    except OSError:  # whoever opens it says why
+        return False
+
+
 def keep_apart(read: Path, *written: Path | None) -> None:
     """Raises `ConfigError` where a command would write over what it reads, or one of its files over another."""
     taken = {_there(read): "what is read"}

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from fieldkit.errors import ConfigError, os_words
+from fieldkit.files import is_stream
 
 
 def receiver_of(words: str) -> dict[str, Any]:
@@ -23,6 +24,8 @@ def receiver_of(words: str) -> dict[str, Any]:
 
 def read_receiver(path: Path) -> dict[str, Any]:
     """Its table; the driver is `lines` where it says none. Raises `ConfigError`."""
+    if is_stream(path):
+        raise ConfigError(f"--receiver {path}: expected a file, got a pipe or device")
     try:
         said = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:

@@ -1,5 +1,6 @@
 """Every command that reads a file, given every odd file: it says what is wrong, and never how it fell over."""
 
+import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 from sizes import size
 from typer.testing import CliRunner
 
+from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
+from fieldkit.channel.model import Antenna
 from fieldkit.cli import build
 from fieldkit.errors import ConfigError, FieldkitError, NotWritten
 from mission.core.template import mission_text
@@ -143,3 +146,30 @@ def test_no_recording_is_ever_replaced(tmp_path: Path) -> None:
     assert isinstance(result.exception, NotWritten)
     assert "a recording is there" in str(result.exception) and "name another" in str(result.exception)
     assert log.read_bytes() == mcap_head()
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("check PIPE", "expected a mission file, got a pipe or device"),
+        ("run PIPE", "expected a mission file, got a pipe or device"),
+        ("plan PIPE --no-open --page-port 0", "expected a mission file, got a pipe or device"),
+        (
+            "calibrate fit PIPE",
+            "expected a CSV of readings, got a pipe or device; write it into a file first",
+        ),
+        ("calibrate check antenna.toml PIPE", "expected a CSV of readings, got a pipe"),
+        ("calibrate import PIPE -o new.csv", "expected a CSV of readings, got a pipe"),
+        ("calibrate import pipe.html -o new.csv", "expected a report, got a pipe"),
+        ("calibrate check PIPE readings.csv", "expected an antenna file, got a pipe"),
+    ],
+)
+def test_a_pipe_that_nobody_writes_into_is_not_waited_for(
+    words: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("PIPE", "pipe.html"):
+        os.mkfifo(name)
+    (tmp_path / "antenna.toml").write_text(dump_antenna(AntennaFile(Antenna(2.5, -62.0, 3.0, -90.0))))
+    assert expected in said_of(words.split())

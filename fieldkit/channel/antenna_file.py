@@ -13,6 +13,7 @@ from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.channel.pattern import dipole_gain_db, lobe_gain_db, table_db
 from fieldkit.channel.spread import ChannelSpread, assumed, parse_spread, table_of
 from fieldkit.errors import ConfigError
+from fieldkit.files import is_stream
 from fieldkit.messages import FloatArray
 
 SCHEMA = 2
@@ -135,7 +136,7 @@ def read_antenna(
     unless `allow_pattern`: who reads only `antenna` would take a directional antenna for one that is not.
     """
     path = Path(path)
-    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe that nobody writes to is waited for
+    if is_stream(path):
         raise ConfigError(f"{path}: expected an antenna file, got a pipe or device")
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -23,6 +23,7 @@ from fieldkit.channel.spread import ChannelSpread, known_power
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
+from fieldkit.files import is_stream
 from fieldkit.geo import FieldFrame
 from fieldkit.geometry.polygons import KeepOut
 from fieldkit.tuning import Tuning
@@ -76,6 +77,8 @@ class Mission:
 def read_mission(path: Path | str) -> Mission:
     """Read and check a mission file and the antenna file it names, relative to itself. Raises `ConfigError`."""
     path = Path(path)
+    if is_stream(path):
+        raise ConfigError(f"{path}: expected a mission file, got a pipe or device")
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:

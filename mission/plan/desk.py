@@ -7,7 +7,7 @@ from typing import Any
 
 from fieldkit import plugins
 from fieldkit.errors import ConfigError, os_words
-from fieldkit.files import write_whole
+from fieldkit.files import is_stream, write_whole
 from fieldkit.geo import FieldFrame
 from mission.core.template import mission_text
 from mission.maps.background import Background, Ground, background_of
@@ -112,6 +112,8 @@ class Desk:
         ]
 
     def _on_disk(self) -> str | None:
+        if is_stream(self.path):
+            raise ConfigError(f"{self.path}: expected a mission file, got a pipe or device")
         try:
             return self.path.read_text(encoding="utf-8").removeprefix("\ufeff")
         except FileNotFoundError:
