@@ -30,6 +30,8 @@ def plan(
 
     with serve(mission_file, host=page_host, port=page_port) as page:
         say(f"to edit {mission_file}, open  {page.command_address}   (Ctrl-C ends it)", always=True)
+        if not (folder := mission_file.absolute().parent).is_dir():
+            say(f"there is no folder {folder} yet: Store makes it", always=True)
         if page.is_reached_by_others and sys.stderr.isatty():
             print_code(page.command_address)
         if show and sys.stdin is not None and sys.stdin.isatty():
