@@ -10,12 +10,11 @@ from fieldkit.errors import ConfigError, os_words
 from fieldkit.files import is_stream, write_whole
 from fieldkit.geo import FieldFrame
 from mission.core.template import mission_text
-from mission.maps.background import Background, Ground, background_of
+from mission.maps.background import PICTURES, TILES, Background, Ground, background_of
 from mission.plan.draft import form_of, plain_field, with_form
 from mission.plan.judge import judge
 from mission.plan.protocol import Choices, Draft, HeardVehicle, Standing
 
-PICTURES = (".mbtiles", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 MOST_FILES = 200
 MOST_LAT_DEG = 85.0
 """Web maps end there."""
@@ -53,7 +52,7 @@ class Desk:
             "receivers": plugins.names("fieldkit.receivers"),
             "vehicles": plugins.names("fieldkit.vehicles"),
             "antennas": [each.name for each in self._beside() if _is_antenna(each)],
-            "pictures": [each.name for each in self._beside() if each.suffix.lower() in PICTURES],
+            "pictures": [each.name for each in self._beside() if each.suffix.lower() in (TILES, *PICTURES)],
         }
 
     def change(self, form: Mapping[str, Any]) -> None:

@@ -11,11 +11,14 @@ from urllib.request import Request, urlopen
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from fieldkit.cli import build
 from fieldkit.errors import ConfigError
 from mission.core.mission_file import read_mission
 from mission.core.template import mission_text
 from mission.lab.synthetic import small_mission
+from mission.maps.background import PICTURES, TILES
 from mission.page.server import Page
 from mission.plan.desk import Desk
 from mission.plan.draft import form_of, with_form
@@ -184,3 +187,24 @@ def test_a_change_is_judged_and_stored_over_the_wire(page: Page, tmp_path: Path)
     assert not state["stored"] and status(page, "preflight", body={}) == 400
     assert asked(page, "store", body={})["stored"]
     assert read_mission(tmp_path / "mission.toml").file.field.size_east_m == 12.5
+
+
+@pytest.mark.parametrize(("name", "says"), [("new/mission.toml", True), ("mission.toml", False)])
+def test_a_folder_that_is_yet_to_be_made_is_announced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, says: bool
+) -> None:
+    def ctrl_c(_: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fieldkit.clock.wall_sleep", ctrl_c)
+    done = CliRunner().invoke(build(), ["plan", str(tmp_path / name), "--no-open", "--page-port", "0"])
+    assert done.exit_code == 0, done.output
+    assert (f"there is no folder {tmp_path / 'new'} yet: Store makes it" in done.output) == says, done.output
+
+
+def test_every_kind_of_background_is_offered(tmp_path: Path) -> None:
+    for suffix in (*PICTURES, TILES, ".gif"):
+        (tmp_path / f"map{suffix}").touch()
+    offered = Desk(tmp_path / "mission.toml").choices()["pictures"]
+    assert {"map.webp", "map.png", "map.mbtiles"} <= set(offered)
+    assert offered == sorted(f"map{suffix}" for suffix in (*PICTURES, TILES))
