@@ -27,10 +27,12 @@ CALIBRATED = {
 }
 """A simulated vehicle counts as calibrated with any offset that is not zero."""
 COMMON = CALIBRATED | {
-    "FS_GCS_TIMEOUT": 5, "MAV_GCS_SYSID": 245, "FS_OPTIONS": 0, "FS_EKF_ACTION": 1, "BATT_MONITOR": 4,
+    "FS_GCS_TIMEOUT": 5, "MAV_GCS_SYSID": 245, "SYSID_MYGCS": 245, "FS_OPTIONS": 0, "FS_EKF_ACTION": 1,
+    "BATT_MONITOR": 4,
     "BATT_LOW_VOLT": 10.5, "FENCE_TYPE": 4, "RC1_MIN": 1000, "RC1_MAX": 2000, "RC3_MIN": 1000, "RC3_MAX": 2000,
     "LOG_DISARMED": 0, "LOG_BACKEND_TYPE": 0,
 }  # fmt: skip
+"""The station's number has another name from 4.7 on; a vehicle passes over what it does not know."""
 ROVER = COMMON | {
     "FS_GCS_ENABLE": 1, "FS_ACTION": 2, "FS_TIMEOUT": 1.5, "FENCE_ACTION": 2, "BATT_FS_LOW_ACT": 2,
     "SERVO1_MIN": 1000, "SERVO1_MAX": 2000, "SERVO3_MIN": 1000, "SERVO3_MAX": 2000, "CRUISE_SPEED": 5,
