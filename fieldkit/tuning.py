@@ -135,6 +135,12 @@ class IntensityTuning(_Table):
     silent_odds: float = tuned(
         0.01, 1e-6, 0.5, "", "a source whose silence is less probable by chance has gone silent", HAND
     )
+    change_s: float = tuned(
+        3_600.0, 1.0, 1e9, "s", "mean time until a source ends or is moved; how soon finds are doubted", HAND
+    )
+    doubted: float = tuned(
+        0.05, 0.001, 0.5, "", "a find that has so probably ended or moved is listened to again", HAND
+    )
     settled: float = tuned(0.995, 0.5, 1.0, "", "a find so certain needs no further look", HAND)
     max_squared_residual: float = tuned(
         2.5, 1.0, 100.0, "", "mean squared standardised residual that says: inconsistent with the model", HAND
@@ -216,6 +222,17 @@ class InfogainTuning(_Table):
         "",
         "of a find's place made certain, times the probability that it is off",
         FACTORIAL,
+    )
+    check_value: float = tuned(
+        0.05,
+        0.0,
+        1_000.0,
+        "",
+        "of listening again to a find that may have ended, once nothing else is left",
+        HAND,
+    )
+    check_left: float = tuned(
+        1.0, 0.001, 100.0, "", "expected sources on the ground at which that is worth 1/e of it", HAND
     )
     inconsistent_value: float = tuned(
         0.3, 0.0, 10.0, "", "of readings that the model does not explain, against others", HAND

@@ -1,14 +1,21 @@
 """Sources that stop, and sources that move: last heard, the odds of the silence since, and what it is called."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from fieldkit.engine.belief.intensity import silence
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.belief.intensity.candidate import merged_gain
 from fieldkit.engine.belief.intensity.merging import merge
 from fieldkit.engine.grid import Grid
+from fieldkit.engine.planning.base import Situation
+from fieldkit.engine.planning.infogain import InfoGainPlanner
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, Listening
+from fieldkit.tuning import Tuning
 from mission.lab.study.trust import antenna
 
 RADIO = antenna()
@@ -64,6 +71,60 @@ def test_one_that_moved_keeps_both_places_and_says_so() -> None:
     old, new = [each for each in world.belief.sources() if each.receptions > 3.0]
     assert f"may have moved: source {new.ident} at" in old.note and "silent" not in new.note
     assert abs(old.east_m - 3.0) < 1.0 and abs(new.east_m - 9.0) < 1.0
+
+
+def test_packets_that_another_may_have_sent_do_not_end_a_silence() -> None:
+    world = Searched()
+    world.go(12, (3.0, 6.0), (3.0, 6.0))
+    moved_s = world.t_s
+    world.go(20, (4.6, 6.0), (6.2, 6.0))
+    old = min(world.belief.sources(), key=lambda each: abs(each.east_m - 3.0))
+    assert "gone silent" in old.note and old.last_heard_ns <= (moved_s + 2 * PERIOD_S) * S
+
+
+@pytest.mark.parametrize("shared", [0, 1, 3])
+def test_a_silence_is_as_probable_as_rates_and_shared_packets_make_it(
+    shared: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rates that are well known: gone on or ended differ by exp(-rate * time) and (old + new) / new for each packet."""
+    old_hz, new_hz, then_s, since_s = 0.05, 0.08, 1e7, 100.0
+    share = old_hz / (old_hz + new_hz)
+    sure = dict.fromkeys(range(5), 0.999999)
+    responsibility = sure | {5 + number: share for number in range(shared)}
+    candidate = SimpleNamespace(
+        responsibility=responsibility,
+        receptions=old_hz * then_s + shared * share,
+        first_ns=0,
+        last_ns=4 * S,
+        exposure_then_s=then_s,
+        listened_at={number: then_s + 1e-9 * number for number in responsibility},
+    )
+    mixture = SimpleNamespace(
+        open={
+            number: SimpleNamespace(detection=SimpleNamespace(t_ns=number * S)) for number in responsibility
+        },
+        rate_prior_s=1e-6,
+        tuning=SimpleNamespace(rate_shape=1e-6, claimed=0.5),
+    )
+    monkeypatch.setattr(silence, "listened_s", lambda *_: then_s + since_s)
+    said = silence.silence(mixture, candidate)  # type: ignore[arg-type]
+    expected = np.exp(-old_hz * since_s) * ((old_hz + new_hz) / new_hz) ** shared
+    assert said.since_ns == 4 * S and said.odds == pytest.approx(min(1.0, expected), rel=1e-2)
+
+
+def test_a_find_that_nobody_has_listened_to_for_long_is_visited_again() -> None:
+    world = Searched()
+    world.go(12, (3.0, 3.0), (3.0, 3.0))
+    (found,) = [each for each in world.belief.sources() if each.state == "found"]
+    assert not world.belief.unresolved(8, np.random.default_rng(0))
+    world.go(30, (10.5, 10.5), None)
+    (again,) = world.belief.unresolved(8, np.random.default_rng(0))
+    assert again.ident == found.ident and 0.1 < again.p_gone < 0.3
+    nothing_to_search = Tuning().with_tables({"infogain": {"ground_value": 0.0}})
+    planner = InfoGainPlanner(replace(FIELD, tuning=nothing_to_search))
+    at = {"a": (10.0, 10.5), "b": (11.0, 10.5)}
+    plan = planner.plan(Situation(world.t_s * S, at, (("a", "b"),), {}), world.belief)
+    assert plan.purpose["a"] == f"resolve {found.ident}"
 
 
 def test_two_equal_candidates_are_one_even_after_their_detections_were_frozen() -> None:

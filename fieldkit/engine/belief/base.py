@@ -30,6 +30,8 @@ class Unresolved:
     """As in `SourceEstimate.state`."""
     may_be_two: bool
     """Whether two sources explain what was heard about as well."""
+    p_gone: float = 0.0
+    """Of a find: the probability that it has ended or was moved since it was last heard."""
 
 
 @runtime_checkable

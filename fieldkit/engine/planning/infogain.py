@@ -148,7 +148,8 @@ class InfoGainPlanner(Planner):
             ways.append(self._last[team])
             purpose.append("search")
         nearest = sorted(
-            reward.unresolved, key=lambda u: float(np.hypot(*(u.points_m.mean(axis=0) - centre)))
+            reward.unresolved,
+            key=lambda u: (u.p_gone > 0.0, float(np.hypot(*(u.points_m.mean(axis=0) - centre)))),
         )
         for candidate in nearest[: self._tuning.max_candidates]:
             ways += self._around(candidate, centre, typical_m)

@@ -3,7 +3,7 @@
 The reward is the expected number of sources the path would newly hear on unsearched ground, plus the progress it would
 make on candidates not yet resolved: receptions still missing, and the shrinking of their posterior by Fisher
 information, both as expected over samples of where and how strong each candidate may be. A find counts by the
-probability that it lies a cell off.
+probability that it lies a cell off, and by the doubt whether it is still there.
 """
 
 import math
@@ -42,6 +42,10 @@ class Reward:
         """(n_north, n_east) of squares of side `square_m`: expected number of sources not among the candidates."""
         self._square_m = square_m
         self._rate_hz = self._tuning.ground_rate * settings.reference_rate_hz
+        self._check_value = self._tuning.check_value * math.exp(
+            -float(ground.sum()) / self._tuning.check_left
+        )
+        """Less while something is left to be found."""
         self._planned_s = np.zeros(ground.shape)
         """P(heard) integrated over the time of the tracks taken."""
         self._learnt = [np.zeros(4) for _ in unresolved]
@@ -144,8 +148,13 @@ class Reward:
             weight = self._tuning.settle_value * (1.0 - candidate.p_here)
         else:
             weight = self._tuning.inconsistent_value if candidate.state == "inconsistent" else 1.0
+        # A packet settles whether a find is still there; most is learnt where that is as probable as not.
+        checked = (
+            4.0 * candidate.p_gone * (1.0 - candidate.p_gone) * (1.0 - np.exp(-rate * information[:, 0]))
+        )
         return np.asarray(
             weight * (self._tuning.resolve_value * done + self._tuning.reception_value * received)
+            + self._check_value * checked
         )
 
 

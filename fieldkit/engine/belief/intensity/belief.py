@@ -18,7 +18,7 @@ from scipy.special import gammainc, gammaincinv
 from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary
 from fieldkit.engine.belief.intensity.mixture import Mixture
-from fieldkit.engine.belief.intensity.silence import silence_odds
+from fieldkit.engine.belief.intensity.silence import gone_probability, silence
 from fieldkit.engine.belief.intensity.silence import words as silence_words
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
 from fieldkit.engine.settings import EngineSettings
@@ -74,7 +74,7 @@ class IntensityBelief:
             candidate.ident
             for candidate in self.candidates
             if candidate.receptions >= self.settings.min_receptions - 0.1
-            and silence_odds(self.mixture, candidate) < self._tuning.silent_odds
+            and silence(self.mixture, candidate).odds < self._tuning.silent_odds
         }
         changed, self._silent = silent != self._silent, silent
         return changed
@@ -192,10 +192,10 @@ class IntensityBelief:
         estimates = []
         for candidate in self.candidates:
             summary = self.mixture.summary(candidate)
-            odds = silence_odds(self.mixture, candidate)
+            silent = silence(self.mixture, candidate)
             note = candidate.note
             if candidate.ident in self._silent:
-                said = silence_words(self.mixture, candidate, self.mixture.now_ns, odds)
+                said = silence_words(self.mixture, candidate, silent)
                 note = f"{note}; {said}" if note else said
             estimates.append(
                 SourceEstimate(
@@ -215,8 +215,8 @@ class IntensityBelief:
                     note=note,
                     name=candidate.name,
                     power_db=summary.power_db,
-                    last_heard_ns=candidate.last_ns,
-                    silence_odds=odds,
+                    last_heard_ns=silent.since_ns,
+                    silence_odds=silent.odds,
                 )
             )
         return estimates
@@ -328,7 +328,8 @@ class IntensityBelief:
         return ground.of_field(self.mixture.another_source(rate_hz).sum(axis=0)) / ground.factor**2
 
     def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
-        """What is to be listened to again: candidates not found, finds that may be two sources or lie a cell off.
+        """What is to be listened to again: candidates not found, finds that may be two sources, lie a cell off or have
+        ended.
 
         Each with samples of where and how strong it may be.
         """
@@ -340,7 +341,11 @@ class IntensityBelief:
             summary = self.mixture.summary(candidate)
             if candidate.state == "outside" and summary.p_in_field < self._tuning.look_outside:
                 continue
-            if candidate.state == "found" and two_source is None and summary.p_here >= self._tuning.settled:
+            p_gone = self._p_gone(candidate) if candidate.state == "found" else 0.0
+            is_settled = (
+                candidate.state == "found" and two_source is None and summary.p_here >= self._tuning.settled
+            )
+            if is_settled and p_gone == 0.0:
                 continue
             posterior = candidate.posterior()
             picks = rng.choice(posterior.size, size=samples, p=posterior.ravel() / posterior.sum())
@@ -361,12 +366,20 @@ class IntensityBelief:
                     (self._tuning.rate_shape + candidate.receptions)
                     / (self.mixture.rate_prior_s + summary.exposure_s),
                     candidate.receptions,
-                    summary.p_here,
+                    1.0 if is_settled else summary.p_here,
                     candidate.state,
                     two_source is not None,
+                    p_gone,
                 )
             )
         return result
+
+    def _p_gone(self, find: Candidate) -> float:
+        """Probability that a find is no longer there, where that is worth another look; else 0."""
+        if find.ident in self._silent:
+            return 0.0
+        p_gone = gone_probability(self.mixture, find)
+        return p_gone if p_gone >= self._tuning.doubted else 0.0
 
     def digest(self) -> bytes:
         """SHA-256 over exposure and every candidate's cloud, evidence and responsibilities."""

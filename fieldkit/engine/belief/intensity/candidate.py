@@ -87,6 +87,8 @@ class Candidate:
     """When the last of them was."""
     exposure_then_s: float = 0.0
     """How long it had been listened to by then."""
+    listened_at: dict[int, float] = field(default_factory=dict)
+    """Detection number to how long it had been listened to when that came, in seconds; of those it may have sent."""
     certain_since: float | None = None
     """Receptions when its place first became certain enough, since it last was not."""
     two_source: TwoSource | None = None
@@ -104,7 +106,7 @@ class Candidate:
         """Another that has the same arrays but claims for itself."""
         other = copy.copy(self)
         other.logs, other.responsibility = dict(self.logs), dict(self.responsibility)
-        other.based_on = dict(self.based_on)
+        other.based_on, other.listened_at = dict(self.based_on), dict(self.listened_at)
         other.evidence = self.evidence.copy()
         return other
 
@@ -227,6 +229,7 @@ class Candidate:
             self.log_absent += math.log1p(-min(responsibility, 1.0 - 1e-9))
             del self.logs[number]
             self.based_on.pop(number, None)
+            self.listened_at.pop(number, None)
             self._receptions = None
 
 

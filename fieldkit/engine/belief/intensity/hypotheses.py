@@ -84,7 +84,7 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
         part.log_absent = candidate.log_absent
         if len(parts) == 1:
             part.first_ns, part.last_ns = candidate.first_ns, candidate.last_ns
-            part.exposure_then_s = candidate.exposure_then_s
+            part.exposure_then_s, part.listened_at = candidate.exposure_then_s, dict(candidate.listened_at)
     mixture.candidates += parts
     for revised in parts:
         _know_all(mixture, revised)

@@ -40,6 +40,7 @@ def merge(mixture: "Mixture") -> bool:
                     keep.first_ns = min(
                         (t for t in (keep.first_ns, drop.first_ns) if t is not None), default=None
                     )
+                    keep.listened_at = drop.listened_at | keep.listened_at
                     if drop.last_ns > keep.last_ns:
                         keep.last_ns, keep.exposure_then_s = drop.last_ns, drop.exposure_then_s
                     mixture.remove(drop)

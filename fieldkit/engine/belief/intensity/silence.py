@@ -4,6 +4,7 @@ With a rate known as Gamma(a + n, b + E) from n receptions in exposure E, nothin
 probability ((b + E) / (b + E + S))^(a + n). Exposure counts only where somebody would have heard it.
 """
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
 
 ALIKE_DB = 6.0
 """Sources whose powers are further apart are two."""
+WORTH_COUNTING = 0.05
+"""Detections that a source has less probably sent are not counted for it."""
+CERTAINLY = 1e-6
+"""Odds at which nothing earlier is looked at."""
 
 
 def listened_s(mixture: "Mixture", candidate: Candidate) -> float:
@@ -27,50 +32,97 @@ def listened_s(mixture: "Mixture", candidate: Candidate) -> float:
 
 def note_heard(mixture: "Mixture", candidate: Candidate) -> None:
     """Keep when the first and the last of what it claims was sent, and how long it had been listened to by then."""
-    sent = [
-        mixture.open[number].detection.t_ns
-        for number, responsibility in candidate.responsibility.items()
-        if responsibility >= mixture.tuning.claimed and number in mixture.open
-    ]
-    if not sent:
+    may_be_its = [n for n, r in candidate.responsibility.items() if r >= WORTH_COUNTING and n in mixture.open]
+    new = [number for number in may_be_its if number not in candidate.listened_at]
+    if new:
+        candidate.listened_at.update(dict.fromkeys(new, listened_s(mixture, candidate)))
+    claimed = [n for n in may_be_its if candidate.responsibility[n] >= mixture.tuning.claimed]
+    if not claimed:
         return
-    candidate.first_ns = min(sent) if candidate.first_ns is None else min(candidate.first_ns, *sent)
-    if max(sent) > candidate.last_ns or candidate.exposure_then_s == 0.0:
-        candidate.last_ns = max(sent)
-        candidate.exposure_then_s = listened_s(mixture, candidate)
+    sent = {number: mixture.open[number].detection.t_ns for number in claimed}
+    first, last = min(sent, key=sent.__getitem__), max(sent, key=sent.__getitem__)
+    candidate.first_ns = sent[first] if candidate.first_ns is None else min(candidate.first_ns, sent[first])
+    if sent[last] > candidate.last_ns or candidate.exposure_then_s == 0.0:
+        candidate.last_ns, candidate.exposure_then_s = sent[last], candidate.listened_at[last]
 
 
-def silence_odds(mixture: "Mixture", candidate: Candidate) -> float:
-    """P(nothing heard of it since it was last heard), had it gone on as before."""
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """Since when a source is silent, if it is."""
+
+    since_ns: int
+    """The last detection that it surely sent."""
+    odds: float
+    """P(as little heard since then) had it gone on as before."""
+
+
+def silence(mixture: "Mixture", candidate: Candidate) -> Silence:
+    """The least probable silence up to now.
+
+    A detection that others explain about as well does not end a silence: going back beyond one that it sent with
+    probability r makes its having gone on 1 / (1 - r) times as probable.
+    """
     if candidate.first_ns is None:
-        return 1.0
-    since_s = max(0.0, listened_s(mixture, candidate) - candidate.exposure_then_s)
-    before_s = mixture.rate_prior_s + candidate.exposure_then_s
-    odds = (before_s / (before_s + since_s)) ** (mixture.tuning.rate_shape + candidate.receptions)
-    return float(odds)
+        return Silence(candidate.last_ns, 1.0)
+    shape = mixture.tuning.rate_shape + candidate.receptions
+    listened = listened_s(mixture, candidate)
 
+    def odds(receptions_since: float, listened_then_s: float) -> float:
+        before_s = mixture.rate_prior_s + listened_then_s
+        since_s = max(0.0, listened - listened_then_s)
+        return float((before_s / (before_s + since_s)) ** max(shape - receptions_since, 0.0))
 
-def words(mixture: "Mixture", candidate: Candidate, now_ns: int, odds: float) -> str:
-    """What to say of a source that has gone silent, and where it may have moved."""
-    since_s = (now_ns - candidate.last_ns) * 1e-9
-    said = (
-        f"gone silent: last heard {since_s:.0f} s ago, which would happen by chance with {100.0 * odds:.1g} %"
+    may_be_its = sorted(
+        (
+            (mixture.open[number].detection.t_ns, candidate.responsibility[number], then_s)
+            for number, then_s in candidate.listened_at.items()
+            if number in mixture.open and candidate.responsibility.get(number, 0.0) >= WORTH_COUNTING
+        ),
+        reverse=True,
     )
-    after = moved_to(mixture, candidate)
+    in_favour, since, claims = 1.0, 0.0, []
+    for t_ns, responsibility, then_s in may_be_its:
+        if responsibility >= mixture.tuning.claimed:
+            claims.append(Silence(t_ns, min(1.0, in_favour * odds(since, then_s))))
+        in_favour /= 1.0 - min(responsibility, 1.0 - CERTAINLY)
+        since += responsibility
+        if in_favour > 1.0 / CERTAINLY:
+            break
+    if not claims:  # all that it sent are marginalised
+        return Silence(candidate.last_ns, min(1.0, in_favour * odds(since, candidate.exposure_then_s)))
+    return min(claims, key=lambda each: each.odds)
+
+
+def gone_probability(mixture: "Mixture", candidate: Candidate) -> float:
+    """P(it has ended or was moved since it was last heard): such things happen now and then, and it is silent since."""
+    silent = silence(mixture, candidate)
+    quiet_s = max(0.0, (mixture.now_ns - silent.since_ns) * 1e-9)
+    stayed = float(np.exp(-quiet_s / mixture.tuning.change_s))
+    return (1.0 - stayed) / (1.0 - stayed + stayed * silent.odds)
+
+
+def words(mixture: "Mixture", candidate: Candidate, silent: Silence) -> str:
+    """What to say of a source that has gone silent, and where it may have moved."""
+    since_s = (mixture.now_ns - silent.since_ns) * 1e-9
+    said = (
+        f"gone silent: last heard {since_s:.0f} s ago, "
+        f"which would happen by chance with {100.0 * silent.odds:.1g} %"
+    )
+    after = moved_to(mixture, candidate, silent.since_ns)
     if after is None:
         return said
     east, north = mixture.summary(after).mean_m
     return f"{said}; may have moved: source {after.ident} at {east:.1f}, {north:.1f} m has been heard since"
 
 
-def moved_to(mixture: "Mixture", candidate: Candidate) -> Candidate | None:
+def moved_to(mixture: "Mixture", candidate: Candidate, since_ns: int) -> Candidate | None:
     """A source of about the same power that was first heard after this one was last heard; the nearest."""
     here = mixture.summary(candidate)
     later = [
         other
         for other in mixture.candidates
         if other.first_ns is not None
-        and other.first_ns > candidate.last_ns
+        and other.first_ns > since_ns
         and abs(mixture.summary(other).power_db - here.power_db) <= ALIKE_DB
         and other.receptions >= 1.5
     ]
