@@ -147,7 +147,7 @@ def looking(browser: Any, address: str, *, is_refused: bool = False, **options: 
     context.close()
     if is_refused:
         faults = [each for each in faults if not each.startswith("Failed to load resource")]
-    assert not faults
+    assert not faults, faults
 
 
 WCAG = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]}}

@@ -9,6 +9,11 @@ import pytest
 from flying import Flown, looking
 
 PHONE = {"width": 390, "height": 844}
+DRAWN = """async () => {
+    const map = await import("./mapview.js");
+    while (!map.view.scale) await new Promise((done) => setTimeout(done, 20));
+}"""
+"""Done once the map has been drawn."""
 
 
 @pytest.fixture
@@ -16,7 +21,25 @@ def tab(browser: Any, flown: Flown) -> Iterator[Any]:
     with looking(browser, flown.page.address, viewport=PHONE, has_touch=True, is_mobile=True) as tab:
         tab.context.grant_permissions(["clipboard-read", "clipboard-write"])
         tab.wait_for_function("() => window.fieldkit.frame")
+        tab.evaluate(DRAWN)
         yield tab
+
+
+def test_a_tap_before_the_map_is_drawn_is_nowhere(tab: Any) -> None:
+    asked: list[str] = []
+    tab.on("request", lambda request: asked.append(request.url) if "where?" in request.url else None)
+    tab.evaluate("""async () => {
+        const { view } = await import("./mapview.js");
+        const canvas = document.getElementById("map");
+        const tap = (kind) => canvas.dispatchEvent(
+            new PointerEvent(kind, { pointerId: 7, pointerType: "touch", clientX: 150, clientY: 300 }));
+        view.scale = 0;
+        tap("pointerdown"); tap("pointerup");
+    }""")
+    tab.evaluate(DRAWN)
+    tab.locator("#map").tap()
+    tab.wait_for_selector("#where:not([hidden]) [data-form=mgrs]")
+    assert len(asked) == 1
 
 
 def test_a_tap_says_where_that_is_and_another_copies_it(tab: Any, flown: Flown) -> None:

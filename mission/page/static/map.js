@@ -454,7 +454,7 @@ function hit([x, y]) { // The source or robot under a finger, the nearest first.
 export const taps = { onPlace() {}, onSource() {}, onRobot() {} }; // what others do about them
 setUpGestures(canvas, {
   onTap(pixel) {
-    if (!model.hello) return;
+    if (!model.hello || !view.scale) return; // before it is first drawn a tap is nowhere
     const place = rounded(toMetres(pixel));
     if (area.drawing) { corners.push(place); return; }
     if (measure.on) { measure.take(place); model.version.grids += 1; return; }
@@ -464,7 +464,7 @@ setUpGestures(canvas, {
     else taps.onPlace(...place);
   },
   onMove(pixel) {
-    pointer = pixel && model.hello && (area.drawing || measure.on) ? toMetres(pixel) : null;
+    pointer = pixel && model.hello && view.scale && (area.drawing || measure.on) ? toMetres(pixel) : null;
     if (measure.points.length === 1) model.version.grids += 1;
   },
 });

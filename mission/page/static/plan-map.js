@@ -1,7 +1,7 @@
 // @ts-check
 // The field that is being planned: its border, fence and closed areas, drawn by taps and moved by their corners.
 import { $, fitCanvas, FONT, penOf } from "./dom.js";
-import { drawPicture, frameView, rounded, showWhole, toMetres, X, Y, zoomBy } from "./mapview.js";
+import { drawPicture, frameView, rounded, showWhole, toMetres, view, X, Y, zoomBy } from "./mapview.js";
 import { setUpGestures } from "./gestures.js";
 /** @import { Corners, Pixel, Place } from "./mapview.js" */
 /** @import { Standing } from "./protocol" */
@@ -130,8 +130,8 @@ export function setUpMap(moved) {
     onMoved();
   });
   setUpGestures(canvas, {
-    onTap(pixel) { if (drawing.kind) { drawing.corners.push(rounded(toMetres(pixel))); draw(); } },
-    onMove(pixel) { pointer = pixel && drawing.kind ? toMetres(pixel) : null; if (drawing.kind) draw(); },
+    onTap(pixel) { if (drawing.kind && view.scale) { drawing.corners.push(rounded(toMetres(pixel))); draw(); } },
+    onMove(pixel) { pointer = pixel && drawing.kind && view.scale ? toMetres(pixel) : null; if (drawing.kind) draw(); },
     onView: draw,
   });
   $("zoom-in").addEventListener("click", () => { zoomBy(1.6); draw(); });
