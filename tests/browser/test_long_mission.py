@@ -3,6 +3,7 @@
 import json
 import os
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from flying import looking, wait_until
 
-from fieldkit.messages import Detection, Pose, SourceEstimate, Tick, VehicleState
+from fieldkit.messages import Detection, Pose, RssReading, SourceEstimate, Tick, VehicleState
 from fieldkit.recording.reader import open_recording
 from mission.lab.synthetic import record_simulated, small_mission
 from mission.page import serve
@@ -29,8 +30,10 @@ BATCH_S = 60
 class Feed:
     """A mission that never was: robots that wander, sources that are heard, as fast as the browser takes it."""
 
-    def __init__(self, folder: Path) -> None:
-        self.show = LiveShow(View(small_mission(folder, robots=4)))
+    def __init__(self, folder: Path, on_foot: frozenset[str] = frozenset()) -> None:
+        mission = small_mission(folder, robots=4)
+        mission = replace(mission, safety=replace(mission.safety, on_foot=on_foot))
+        self.show = LiveShow(View(mission))
         self.rng = np.random.default_rng(1)
         self.t_s = 0
         self.place = {f"r{k}": np.array([2.0 * k, 1.0]) for k in range(1, 5)}
@@ -43,6 +46,7 @@ class Feed:
             np.clip(place, 0.2, 9.8, out=place)
             show.event(0, t_ns, Pose(t_ns, name, float(place[0]), float(place[1])))
             show.event(0, t_ns, VehicleState(t_ns, name, "guided", True, True, 80.0, "on its way"))
+            show.event(0, t_ns, RssReading(t_ns, name, float(self.rng.normal(-65.0, 4.0))))
         if self.t_s % 2 == 0:
             places = np.array(list(self.place.values()))
             rss = self.rng.normal(-65.0, 4.0, 4)
@@ -64,12 +68,19 @@ def heap_bytes(tab: Any) -> int:
 
 
 @pytest.mark.timeout(600)
-def test_hours_of_data_do_not_fill_the_browser(browser: Any, tmp_path: Path) -> None:
-    feed = Feed(tmp_path)
+@pytest.mark.parametrize("on_foot", [frozenset(), frozenset({"r1"})], ids=["laptop", "phone that is carried"])
+def test_hours_of_data_do_not_fill_the_browser(browser: Any, tmp_path: Path, on_foot: frozenset[str]) -> None:
+    feed = Feed(tmp_path, on_foot)
+    phone = (
+        {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True} if on_foot else {}
+    )
     with Page(feed.show, lambda _: None) as page:
         feed.show.page = page
-        with looking(browser, page.command_address) as tab:
+        with looking(browser, page.command_address, **phone) as tab:
             wait_until(lambda: page.clients == 1)
+            if on_foot:
+                feed.second()
+                tab.locator("#walk-sound").tap()  # it appears with the first frame
             used = {}
             for minute in range(1, HOURS_S // BATCH_S + 1):
                 for _ in range(BATCH_S):
@@ -77,6 +88,7 @@ def test_hours_of_data_do_not_fill_the_browser(browser: Any, tmp_path: Path) -> 
                 tab.wait_for_function(f"() => window.fieldkit.frame?.t_s >= {feed.t_s - 2}")
                 if minute in (FULL_MINUTE, LAST_MINUTE):
                     used[minute] = heap_bytes(tab)
+            assert not on_foot or "dBm" in tab.inner_text("#walk-peak")
             sizes = tab.evaluate(
                 """() => { const m = window.fieldkit; return {
                   track: Math.max(...Object.values(m.tracks).map((t) => t.length)), series: m.series.length,
