@@ -77,7 +77,7 @@ async def test_a_serial_link_steers():
     master, slave = os.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
-    clock, rover = ScaledClock(10.0), autopilot()
+    clock, rover = ScaledClock(3.0), autopilot()
     loop = asyncio.get_running_loop()
 
     def answer():
