@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
 
@@ -45,6 +47,39 @@ class SayingBelief(Protocol):
     def left_words(self) -> str:
         """For which senders `probability_left` holds."""
         ...
+
+
+class RidgedBelief(Protocol):
+    """What planners that look for ridges need of a belief."""
+
+    def presence(self) -> FloatArray:
+        """As a belief's."""
+        ...
+
+    def activity(self) -> FloatArray:
+        """As a belief's."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """A belief as it was at a moment: as much of it as planners look at that look for ridges."""
+
+    _presence: FloatArray
+    _activity: FloatArray
+
+    @classmethod
+    def of(cls, belief: RidgedBelief) -> "Snapshot":
+        """`belief` as it is now."""
+        return cls(np.array(belief.presence()), np.array(belief.activity()))
+
+    def presence(self) -> FloatArray:
+        """(n_north, n_east) as it was."""
+        return self._presence
+
+    def activity(self) -> FloatArray:
+        """(n_north, n_east) as it was."""
+        return self._activity
 
 
 class Belief(Protocol):

@@ -15,7 +15,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, squareform
 
-from fieldkit.engine.belief.base import Belief
+from fieldkit.engine.belief.base import Belief, RidgedBelief
 from fieldkit.engine.planning.base import Planner, Situation
 from fieldkit.engine.planning.circle import Circle, Period, make_circle, plan_period
 from fieldkit.engine.planning.detour import Detours, shares_of_length
@@ -90,7 +90,7 @@ class DprwaPlanner(Planner):
             paths[robot] = _timed(*self._detours.timed(t_s, corners), self.settings.max_speed_m_s)
         return Plan(situation.t_ns, paths, dict.fromkeys(paths, "ring"))
 
-    def periods(self, here_m: list[FloatArray], belief: Belief) -> list[tuple[list[int], Period]]:
+    def periods(self, here_m: list[FloatArray], belief: RidgedBelief) -> list[tuple[list[int], Period]]:
         """For each group the indices of its teams, and their movements; `here_m` holds (m, 2) of each team."""
         self.period += 1
         if not here_m:
@@ -117,7 +117,7 @@ class DprwaPlanner(Planner):
             result.append((members, plan_period(circle, [here_m[team] for team in members], speed)))
         return result
 
-    def ridges(self, belief: Belief) -> tuple[list[Ridge], list[Ridge]]:
+    def ridges(self, belief: RidgedBelief) -> tuple[list[Ridge], list[Ridge]]:
         """Those of the level set and, up to `most_ridges` in all, virtual ones of this period."""
         activity = belief.activity()
         real = find_ridges(

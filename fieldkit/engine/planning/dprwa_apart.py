@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldkit.engine.belief.base import Belief
+from fieldkit.engine.belief.base import Belief, Snapshot
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.dprwa import DprwaPlanner
 from fieldkit.engine.settings import EngineSettings
@@ -31,20 +31,11 @@ STEP_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kept:
-    """What the next ring is planned from: as much of a belief as planners look at, and who was where."""
+    """What the next ring is planned from, and who was where."""
 
     teams: tuple[Team, ...]
     place_m: dict[str, tuple[float, float]]
-    _presence: FloatArray
-    _activity: FloatArray
-
-    def presence(self) -> FloatArray:
-        """(n_north, n_east) as a belief's."""
-        return self._presence
-
-    def activity(self) -> FloatArray:
-        """(n_north, n_east) as a belief's."""
-        return self._activity
+    belief: Snapshot
 
 
 class DprwaApartPlanner(DprwaPlanner):
@@ -98,8 +89,7 @@ class DprwaApartPlanner(DprwaPlanner):
         return Kept(
             tuple(team for team in teams if team),
             dict(situation.position_m),
-            np.array(belief.presence()),
-            np.array(belief.activity()),
+            Snapshot.of(belief),
         )
 
     def _begin(self, t_ns: int, kept: Kept) -> None:
@@ -111,7 +101,7 @@ class DprwaApartPlanner(DprwaPlanner):
         ]
         self._ways, self.meetings_ns, self.kept = {}, [], None
         self.ring_ns = self._until_ns = t_ns
-        for members, period in self.periods(here, kept):  # type: ignore[arg-type]  # as much as it looks at
+        for members, period in self.periods(here, kept.belief):
             ring_ns = t_ns + round(period.ring_start_s * 1e9)
             self.ring_ns = max(self.ring_ns, ring_ns)
             self._until_ns = max(self._until_ns, t_ns + round(period.duration_s * 1e9))

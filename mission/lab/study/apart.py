@@ -15,6 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
+from fieldkit.engine.belief.base import Snapshot
 from fieldkit.engine.belief.spog import SpogBelief
 from fieldkit.engine.decentralised.exchange import Replica, exchange
 from fieldkit.engine.decentralised.tracks import TrackAssociator
@@ -65,21 +66,7 @@ class Team:
     meetings_s: list[float] = field(default_factory=list)
     mark_ns: int | None = None
     """The moment whose belief all will plan from; each keeps it when its checkpoint comes past."""
-    kept: dict[int, "Snapshot"] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Snapshot:
-    """A belief as it was at a moment: as much of it as planners look at."""
-
-    _presence: FloatArray
-    _activity: FloatArray
-
-    def presence(self) -> FloatArray:
-        return self._presence
-
-    def activity(self) -> FloatArray:
-        return self._activity
+    kept: dict[int, Snapshot] = field(default_factory=dict)
 
 
 class Ring:
@@ -93,14 +80,14 @@ class Ring:
         if now_s < self._end_s - 1e-6:
             return {}
         if team.mark_ns is None:
-            team.kept = {pair: snapshot(replica) for pair, replica in enumerate(team.replicas)}
+            team.kept = {pair: Snapshot.of(replica.belief) for pair, replica in enumerate(team.replicas)}
         periods: list[Period] = []
         for pair, planner in enumerate(self._planners):
             if pair not in team.kept:
                 raise FieldkitError(
                     f"dprwa: pair {pair} has no checkpoint after a whole ring: range too short to meet?"
                 )
-            periods.append(planner.periods(here_m, team.kept[pair])[0][1])  # type: ignore[arg-type]
+            periods.append(planner.periods(here_m, team.kept[pair])[0][1])
         mine = periods[0]
         self._end_s = now_s + mine.duration_s
         team.mark_ns = round((now_s + mine.ring_start_s) * S)
@@ -174,11 +161,6 @@ class Train:
             paths[pair] = TimedPath(now_s + np.array(moments) - begin_s, places)
         self._laps += 1
         return paths
-
-
-def snapshot(replica: Replica) -> Snapshot:
-    """Its belief as it is now."""
-    return Snapshot(np.array(replica.belief.presence()), np.array(replica.belief.activity()))
 
 
 def search_apart(
@@ -300,7 +282,7 @@ def _look(team: Team, t_s: float, range_m: float, result: Apart) -> None:
     for pair, replica in enumerate(team.replicas):
         if team.mark_ns is not None and pair not in team.kept and replica.checkpoint_ns >= team.mark_ns:
             replica.synchronise(team.mark_ns)
-            team.kept[pair] = snapshot(replica)
+            team.kept[pair] = Snapshot.of(replica.belief)
         replica.synchronise()
         result.most_held = max(result.most_held, replica.held().readings)
     worst_ns = min(replica.checkpoint_ns for replica in team.replicas)
