@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import re
-from collections.abc import AsyncIterator, Container, Iterable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Container, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +19,10 @@ BY_SATELLITE = "gnss"
 """Origin of poses whose height is above the sea, and good to some ten metres."""
 
 
+async def _room_for_all() -> None:
+    """Nobody waits."""
+
+
 def streams_of(
     receivers: Iterable[Receiver],
     links: Iterable[VehicleLink],
@@ -26,14 +30,18 @@ def streams_of(
     clock: Clock,
     note: Note,
     flying: Container[str] = (),
+    room: Callable[[], Awaitable[None]] = _room_for_all,
 ) -> list[tuple[str, AsyncIterator[Event]]]:
     """Every device's events, with its name. A robot that another source places has no poses from its link.
 
     `flying`: robots that leave the ground. What a satellite receiver says of the height of others is left out.
+    `room` returns once another reception can be taken.
     """
     sources = tuple(positions)
     placed = {robot for source in sources for robot in source.robots}
-    streams = [(f"receiver {r.robot}", from_receiver(r, clock, note)) for r in receivers]
+    streams: list[tuple[str, AsyncIterator[Event]]] = [
+        (f"receiver {r.robot}", paced(from_receiver(r, clock, note), room)) for r in receivers
+    ]
     streams += [(f"link {' '.join(link.robots)}", from_link(link, clock, placed)) for link in links]
     streams += [(f"positions {' '.join(p.robots)}", from_positions(p, note, flying)) for p in sources]
     return streams
@@ -53,6 +61,16 @@ async def from_receiver(receiver: Receiver, clock: Clock, note: Note) -> AsyncIt
     except DeviceError as error:
         logger.warning("%s: receiver: %s", receiver.robot, error)
         yield ReceiverState(clock.now_ns(), receiver.robot, False, str(error))
+
+
+async def paced(events: AsyncIterator[Event], room: Callable[[], Awaitable[None]]) -> AsyncIterator[Event]:
+    """What a receiver says, no faster than it can be thought about: what its driver has no place for it counts.
+
+    Else one that prints thousands of lines a second keeps everything from its turn: vehicles, the keyboard, a stop.
+    """
+    async for event in events:
+        await room()
+        yield event
 
 
 async def from_link(link: VehicleLink, clock: Clock, placed: Container[str]) -> AsyncIterator[Event]:

@@ -162,8 +162,8 @@ class Runner:
     def _streams(self) -> list[tuple[str, AsyncIterator[Event]]]:
         """Every device's events, with a name for its task."""
         setup = self.setup
-        flying = self.mission.safety.altitude_m
-        return streams_of(setup.receivers, setup.links, setup.positions, setup.clock, self._note, flying)
+        devices, flying = (setup.receivers, setup.links, setup.positions), self.mission.safety.altitude_m
+        return streams_of(*devices, setup.clock, self._note, flying, self._ticks.room)
 
     async def _next(self) -> tuple[int, int, Event]:
         """What comes next out of the inbox. Raises what one of the tasks has raised."""

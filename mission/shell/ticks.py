@@ -12,6 +12,8 @@ from fieldkit.settings import TICK_S
 
 DUE_SLACK_S = 0.002
 """Receptions this near to each other are looked at together."""
+MOST_HEARD = 200
+"""Receptions from one tick to the next, a thousand a second. A tick that has more to think about thinks for minutes."""
 
 
 @dataclass
@@ -30,6 +32,9 @@ class Ticks:
     _due_s: deque[float] = field(default_factory=deque)
     """When a reception can be looked at, in order."""
     _timer: asyncio.TimerHandle | None = None
+    _heard: int = 0
+    """Receptions since the last tick."""
+    _taken: asyncio.Event = field(default_factory=asyncio.Event)
 
     def tick(self) -> None:
         """A tick into the inbox, unless one waits there."""
@@ -44,10 +49,23 @@ class Ticks:
     def taken(self) -> None:
         """The tick that waited has come out of the inbox."""
         self._waits = False
+        self._heard = 0
+        self._taken.set()
         self._tick_if_due()
+
+    async def room(self) -> None:
+        """Wait until one more reception can be thought about. Others have their turn meanwhile: a stop, vehicles."""
+        while self._heard >= MOST_HEARD:
+            if not self.has_begun():  # nothing is thought about yet
+                self._heard = 0
+                await asyncio.sleep(0)
+                return
+            self._taken.clear()
+            await self._taken.wait()
 
     def heard(self) -> None:
         """Where receptions are joined quickly, look as soon as this one can be: not at the next regular tick."""
+        self._heard += 1
         if self.reception_due_s >= TICK_S:
             return
         due_s = asyncio.get_running_loop().time() + self.reception_due_s / self.rate
