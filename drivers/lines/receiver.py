@@ -182,6 +182,8 @@ class LinesReceiver(ThreadedReceiver):
             if lines:
                 t_ns = arrival_ns(link, self._clock)
                 for line in lines:
+                    if not self._running.is_set():  # a pattern may think for long about each of thousands
+                        return
                     self._take(line, t_ns)
             self._mind_the_silence(self._split.ended > ended, absent(link))
 

@@ -5,6 +5,7 @@ import json
 import os
 import socket
 import sqlite3
+import threading
 from collections.abc import Callable
 from functools import partial
 from itertools import count
@@ -12,14 +13,14 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
-from lines_bench import receiving
+from lines_bench import context, receiving
 
 from drivers.emulators.kismet import EmulatedKismet
 from drivers.emulators.printer import PrintingRadio
 from drivers.emulators.wires import PluggedModule, PtyWire
 from drivers.lines.mapping import LineMap
 from drivers.lines.maps import MAPS
-from drivers.lines.receiver import SENSELESS, LineSplitter
+from drivers.lines.receiver import SENSELESS, LineSplitter, open_receiver
 from drivers.lines.sources import JoinedLink, open_source
 from drivers.links import device_and_baud
 from fieldkit.clock import RealClock
@@ -421,3 +422,27 @@ async def test_four_thousand_lines_a_second_are_all_taken(tmp_path: Path) -> Non
     finally:
         radio.unplug()
     assert all(state.up for state in seen.states)
+
+
+async def test_closing_waits_for_no_line_that_has_not_been_looked_at(
+    unused_udp_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pattern may think for long about each of thousands of lines that came at once."""
+    looked_at, may_go_on = 0, threading.Event()
+
+    def read(_: LineMap, line: str) -> None:
+        nonlocal looked_at
+        looked_at += 1
+        may_go_on.wait()
+
+    monkeypatch.setattr(LineMap, "read", read)
+    async with open_receiver(
+        "ada", {"port": f"udp://127.0.0.1:{unused_udp_port}", "map": "json"}, context()
+    ) as radio:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(b"{}\n" * 1_000, ("127.0.0.1", unused_udp_port))
+        while not looked_at:  # noqa: ASYNC110 - it is the thread that is watched
+            await asyncio.sleep(0.01)
+        radio._running.clear()  # as closing begins
+        may_go_on.set()
+    assert looked_at == 1
