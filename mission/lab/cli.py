@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from fieldkit import settings as given
+from fieldkit.errors import ConfigError
 from mission.cli.options import (
     HostOption,
     JsonOption,
@@ -46,6 +47,8 @@ def demo(
 
     Example: fieldkit demo --seed 7
     """
+    if walk and drone:
+        raise ConfigError("--walk and --drone are two demos; give one of them")
     if walk or drone:
         _small_demo("" if drone else walk, seed, out, rate, (page, page_host, page_port), as_json)
         return
@@ -60,23 +63,22 @@ def demo(
         f"calibrating the radios from {demonstration.example_readings().name}, then searching; files go to {folder}"
     )
     prepared = demonstration.prepare(folder, seed)
-    with (
-        shown_page(prepared[0], page, page_host, page_port) as shown,
-        Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
-    ):
-        result = demonstration.run(
-            folder, seed, rate=rate, on_progress=watch.show, page=shown, prepared=prepared
-        )
-    recorded = folder / "mission.mcap"
-    recording = open_recording(recorded)
-    write_report(recording, folder / "report.html", embedded(recording))
-    plain = result.plain(seed)
-    if as_json:
-        print_json(plain | {"report": str(folder / "report.html")})
-        return
-    result_table(plain)
-    typer.echo(f"\nwritten: {folder}/{{mission.mcap, mission.toml, antenna.toml, report.html}}")
-    typer.echo(f"next:    fieldkit replay {folder}/mission.mcap")
+    with shown_page(prepared[0], page, page_host, page_port) as shown:
+        with Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
+            result = demonstration.run(
+                folder, seed, rate=rate, on_progress=watch.show, page=shown, prepared=prepared
+            )
+        recorded = folder / "mission.mcap"
+        recording = open_recording(recorded)
+        write_report(recording, folder / "report.html", embedded(recording))
+        plain = result.plain(seed)
+        if as_json:
+            print_json(plain | {"report": str(folder / "report.html")})
+            return
+        result_table(plain)
+        typer.echo(f"\nwritten: {folder}/{{mission.mcap, mission.toml, antenna.toml, report.html}}")
+        typer.echo(f"next:    fieldkit replay {recorded}")
+        stay_open(shown, result.runner)
 
 
 def _small_demo(

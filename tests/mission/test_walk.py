@@ -346,6 +346,7 @@ def test_a_walk_that_found_nothing_counts_as_longer_than_all_others() -> None:
         ),
         (["walk", "m.toml", "--size-m", "300"], "--size-m: with a mission file that is [field] size_east_m"),
         (["demo", "--walk", "smoke"], "--walk: expected one of ble, wifi, lora"),
+        (["demo", "--walk", "xbee", "--drone"], "--walk and --drone are two demos"),
     ],
 )
 def test_what_is_missing_for_a_walk_is_said(
