@@ -8,15 +8,14 @@ What a kernel keeps that has been told of everybody (`mission.core.timeline`, it
 One that goes on without some keeps what it knows, until it is made anew from the common one. A robot for which no
 checkpoint came in a whole ring plans from that: it is off the others' ring until it meets somebody.
 
-Robots late on their way drive to where they can first be in time: the ring leaves nobody time to catch up behind it,
-and who is late misses whom it should meet. Teams that come late to the first ring, before it has begun, have it planned
-anew; later ones wait for the next. With ridges in several groups (`group_gap_m`) only the teams of a group meet.
+Robots late on their way drive on to where they should be; see `dprwa`. Teams that come late to the first ring, before
+it has begun, have it planned anew; later ones wait for the next. With ridges in several groups (`group_gap_m`) only
+the teams of a group meet.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldkit.engine.belief.base import Belief, Snapshot
 from fieldkit.engine.planning.base import Situation
@@ -25,8 +24,6 @@ from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan
 
 Team = tuple[str, ...]
-STEP_S = 1.0
-"""How finely the place is looked for at which a late robot is in time again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,39 +115,10 @@ class DprwaApartPlanner(DprwaPlanner):
         ways, now_ns = self._ways, situation.t_ns
         self._ways = {
             # Without the corner at which it would wait for the others: robots on a path drive slowly instead.
-            robot: (t_ns[2:3], place[2:3])
-            if now_ns < t_ns[2]
-            else rejoined(now_ns, situation.position_m[robot], t_ns, place, self.settings.max_speed_m_s)
+            robot: (t_ns[2:3], place[2:3]) if now_ns < t_ns[2] else (t_ns, place)
             for robot, (t_ns, place) in ways.items()
-            if robot in due
         }
         try:
             return super()._rest(situation, due)
         finally:
             self._ways = ways
-
-
-def rejoined(
-    now_ns: int,
-    here_m: tuple[float, float],
-    t_ns: NDArray[np.int64],
-    place_m: FloatArray,
-    speed_m_s: float,
-) -> tuple[NDArray[np.int64], FloatArray]:
-    """The times (n,) and places (n, 2) of a way from where a robot that is now elsewhere can first be in time.
-
-    Only its end, where it can be nowhere in time.
-    """
-    to_come_s = (t_ns - now_ns) * 1e-9
-    later_s = np.arange(STEP_S, max(float(to_come_s[-1]), STEP_S), STEP_S)
-    there = np.column_stack([np.interp(later_s, to_come_s, place_m[:, axis]) for axis in (0, 1)])
-    # Rounding must not make a robot late that drives along its way at full speed.
-    in_time = np.hypot(*(there - here_m).T) <= speed_m_s * later_s + 1e-6
-    if not in_time.any():
-        return t_ns[-1:], place_m[-1:]
-    first = int(np.argmax(in_time))
-    after = to_come_s > later_s[first]
-    return (
-        np.concatenate([[now_ns + round(later_s[first] * 1e9)], t_ns[after]]),
-        np.concatenate([there[first : first + 1], place_m[after]]),
-    )
