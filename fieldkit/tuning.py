@@ -232,7 +232,12 @@ class InfogainTuning(_Table):
         HAND,
     )
     check_left: float = tuned(
-        1.0, 0.001, 100.0, "", "expected sources on the ground at which that is worth 1/e of it", HAND
+        0.02,
+        0.001,
+        100.0,
+        "",
+        "expected sources on the ground at which that is worth 1/e of it: less than a mission stops at",
+        HAND,
     )
     inconsistent_value: float = tuned(
         0.3, 0.0, 10.0, "", "of readings that the model does not explain, against others", HAND

@@ -21,7 +21,7 @@ from fieldkit.engine.belief.base import Belief, Snapshot
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.dprwa import DprwaPlanner
 from fieldkit.engine.settings import EngineSettings
-from fieldkit.messages import FloatArray, Plan
+from fieldkit.messages import Plan
 
 Team = tuple[str, ...]
 
