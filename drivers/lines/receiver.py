@@ -117,7 +117,7 @@ class LineSplitter:
         return self._dropping
 
     def feed(self, data: bytes) -> list[str]:
-        """Whole lines, without their ends; what is no UTF-8 is kept as replacement characters."""
+        """Whole lines, without their ends and byte order marks; what is no UTF-8 becomes replacement characters."""
         if self._returns:
             data = data.replace(b"\r", b"\n")
         *whole, rest = (self._rest + data).split(b"\n")
@@ -133,7 +133,9 @@ class LineSplitter:
             self._dropping, rest = True, b""
         self._rest = rest
         lines = [
-            line.decode("utf-8", "replace").strip("\r \t\x00") for line in whole if len(line) <= LONGEST_LINE
+            line.decode("utf-8", "replace").strip("\ufeff\r \t\x00")
+            for line in whole
+            if len(line) <= LONGEST_LINE
         ]
         return [line for line in lines if line]
 
