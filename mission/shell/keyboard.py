@@ -24,7 +24,7 @@ WORDS: dict[str, Action] = {
     "return": "return",
     "end": "end",
 }
-HELP = "Enter: HOLD ALL   r: resume   home: all return, in sequence   end: end the mission   Ctrl-C: end"
+HELP = "Enter: HOLD ALL   r: resume   home: all return   end or Ctrl-C: end the mission"
 EVERYBODY = ("all", "everybody", "*")
 LONGEST_LINE = 4096
 """What a terminal takes for a line at the most."""

@@ -17,7 +17,7 @@ from mission.page.commands import ACTIONS, checked_command, message_of, number_o
 from mission.page.serve import LivePage
 from mission.page.server import Mailbox, Page
 from mission.safety.limits import SafetySettings
-from mission.shell.keyboard import NotUnderstood, meaning
+from mission.shell.keyboard import HELP, NotUnderstood, meaning
 
 ROBOTS = ("r1", "r2", "left rover")
 JSON = st.recursive(
@@ -201,3 +201,7 @@ async def test_the_page_refuses_to_close_the_whole_field() -> None:
     assert page._command(part) == ""
     await asyncio.sleep(0)
     assert [order.area_m for order in orders] == [part["area_m"]]
+
+
+def test_the_line_of_keys_fits_a_terminal_of_80_columns() -> None:
+    assert len(HELP) < 80
