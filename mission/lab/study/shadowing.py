@@ -14,7 +14,7 @@ from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
-from fieldkit.messages import SourceEstimate
+from fieldkit.messages import GoTo, SourceEstimate
 from fieldkit.world.shadowing import shadow_fields
 from fieldkit.world.sources import TransientSource, random_sources
 from mission.core.kernel import Kernel
@@ -42,6 +42,8 @@ class Scenario:
     """Deviation of the receivers' offsets, which nobody has calibrated."""
     wander_m: float = 0.0
     """Deviation of wandering position errors, given as they are."""
+    standing: bool = False
+    """The robots stand somewhere in the field and never move."""
 
 
 SCENARIOS = (
@@ -54,6 +56,7 @@ SCENARIOS = (
     Scenario("6 dB over 5 m, not known", 6.0, 5.0, known=False),
     Scenario("receivers 6 dB apart, not calibrated", 3.0, 5.0, offset_db=6.0),
     Scenario("positions wander by 0.5 m", 3.0, 5.0, wander_m=0.5),
+    Scenario("robots that stand still", 3.0, 5.0, standing=True),
 )
 
 
@@ -97,12 +100,17 @@ def trial(job: Job) -> dict[str, Any]:
     engine = settings(scenario, job.seed)
     rng = np.random.default_rng([job.seed, 99])
     sources = tuple(random_sources(4, FIELD_M, FIELD_M, LEVELS_DB, RATE_HZ, rng))
+    shadow = shadow_fields(4, scenario.place_db, scenario.length_m, rng)
+    offset_db = tuple((scenario.offset_db * rng.standard_normal(6)).tolist())
+    start_m = tuple((2.0 + 2.0 * k, 1.0) for k in range(6))
+    if scenario.standing:
+        start_m = tuple(map(tuple, rng.uniform(1.0, FIELD_M - 1.0, (6, 2)).tolist()))
     truth = Truth(
         replace(engine.antenna, sigma_db=TIME_DB),
         sources,
-        tuple((2.0 + 2.0 * k, 1.0) for k in range(6)),
-        shadow=shadow_fields(4, scenario.place_db, scenario.length_m, rng),
-        offset_db=tuple((scenario.offset_db * rng.standard_normal(6)).tolist()),
+        start_m,
+        shadow=shadow,
+        offset_db=offset_db,
         pose_wander_m=scenario.wander_m,
     )
     said: list[bool] = []
@@ -117,9 +125,13 @@ def trial(job: Job) -> dict[str, Any]:
             said.append(not whole)
         return outcome.commands
 
+    def stay(kernel: Kernel, event: Any, outcome: Any) -> Any:
+        commands = every(kernel, event, outcome)
+        return [each for each in commands if not (scenario.standing and isinstance(each, GoTo))]
+
     every = Sometimes(watch)
     kernel = KernelSettings(engine, max_duration_s=CAP_S, sources_expected=10**6)
-    result = simulate(kernel, truth, job.seed, on_step=every)
+    result = simulate(kernel, truth, job.seed, on_step=stay)
     finds = [source for source in result.kernel.sources() if source.state == "found"]
     belief = result.kernel.belief
     assert isinstance(belief, IntensityBelief)
