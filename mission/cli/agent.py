@@ -139,15 +139,15 @@ def agent(
     if resumed is not None:
         say(f"goes on with what {robot} knew: {resumed}", always=True)
     say(f"{robot} records to {folder}; looks for others {network.where}")
-    with (
-        before_the_start(),
-        shown_page(mission, page, page_host, page_port) as shown,
-        Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
-    ):
-        runner = fly_agent(mission, setup, network, card, options, folder, watch.show, shown)
-    say(f"written: {folder}/{{mission.mcap, common.mcap}}; 'fieldkit report' makes a page of either")
-    # A robot's computer has better to do than to draw.
-    print_flown(runner, folder, as_json=as_json, report=False)
+    with before_the_start():
+        with (
+            shown_page(mission, page, page_host, page_port) as shown,
+            Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
+        ):
+            runner = fly_agent(mission, setup, network, card, options, folder, watch.show, shown)
+        say(f"written: {folder}/{{mission.mcap, common.mcap}}; 'fieldkit report' makes a page of either")
+        # A robot's computer has better to do than to draw.
+        print_flown(runner, folder, as_json=as_json, report=False)
 
 
 def _print_held(said: dict[str, str], *, as_json: bool) -> None:

@@ -92,6 +92,7 @@ def run(
 def print_flown(runner: "Runner", folder: Path, *, as_json: bool, report: bool = True) -> None:
     """What was found, then the report if wanted, then who does not hold: exit code 4 where somebody does not."""
     from mission.replay.command import plain_source
+    from mission.shell.signals import interruptible
     from mission.shell.terminal import sources_table
 
     finds = [plain_source(source) for source in runner.kernel.sources()]
@@ -114,6 +115,7 @@ def print_flown(runner: "Runner", folder: Path, *, as_json: bool, report: bool =
                 say(f"{robot.name}: its radio was down at the end: {robot.radio_why}", always=True)
     if runner.recorder.failure:
         say(f"NOT ALL IS RECORDED: {runner.recorder.failure}. Note down what stands above", always=True)
+    interruptible()
     if report:
         _write_report(folder)
     if runner.unconfirmed:

@@ -1,7 +1,8 @@
 """SIGINT, SIGTERM and SIGHUP stop a mission, and nothing stops the stop.
 
 The first one ends the mission: every vehicle is ordered to hold until it shows it. A second one changes nothing and
-says who has not shown it yet. A third one leaves, naming them. SIGHUP comes when a terminal closes or ssh drops: the
+says who has not shown it yet. A third one leaves, naming them; those after it lead to nothing until what was found has
+been said. SIGHUP comes when a terminal closes or ssh drops: the
 vehicles must not learn of it later than the operator. A shell passes it on to its jobs a moment later: after the first
 it leads to nothing outside of here either, and nothing is said to the closed terminal, so that the report is written.
 
@@ -46,11 +47,16 @@ def _stopped_early(number: int, _: FrameType | None) -> None:
     raise StoppedEarly(number)
 
 
+def _leaving(_: int, __: FrameType | None) -> None:
+    """The command is leaving already: whoever presses on must still read what was found."""
+
+
 @contextlib.contextmanager
 def early() -> Iterator[None]:
     """Each of `STOPS` raises `StoppedEarly` inside here, until `StopSignals.caught` takes them over for good.
 
-    A signal that is ignored (nohup) stays ignored.
+    After the mission they lead to nothing until `interruptible` is called. A signal that is ignored (nohup) stays
+    ignored.
     """
     before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
     for number in STOPS:
@@ -61,8 +67,16 @@ def early() -> Iterator[None]:
         yield
     finally:
         for number, handler in before.items():
-            if signal.getsignal(number) is _stopped_early:
+            if signal.getsignal(number) in (_stopped_early, _leaving):
                 signal.signal(number, handler)
+
+
+def interruptible() -> None:
+    """What was found has been said: a signal ends the command again, as that of any other."""
+    for number in STOPS:
+        if signal.getsignal(number) is _leaving:
+            plain = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+            signal.signal(number, plain)
 
 
 class StopSignals:
@@ -101,6 +115,7 @@ class StopSignals:
         """Signals come here while inside, in whichever way this platform has."""
         loop = asyncio.get_running_loop()
         by_loop: list[int] = []
+        were_early = [number for number in STOPS if signal.getsignal(number) is _stopped_early]
         before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
 
         def plain(number: int, _: FrameType | None) -> None:
@@ -123,8 +138,11 @@ class StopSignals:
         finally:
             for number in by_loop:
                 loop.remove_signal_handler(number)
-            for number, handler in before.items():  # after a mission it is not early any more
-                signal.signal(number, signal.default_int_handler if handler is _stopped_early else handler)
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            for number in were_early:  # after a mission it is not early any more
+                with contextlib.suppress(ValueError):  # a thread that is not the main one
+                    signal.signal(number, _leaving)
             if self._terminal_gone:
                 with contextlib.suppress(ValueError):  # a thread that is not the main one
                     signal.signal(signal.SIGHUP, signal.SIG_IGN)
