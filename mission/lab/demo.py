@@ -23,7 +23,8 @@ from mission.core.mission_file import Mission, read_mission
 from mission.core.template import TemplateRobot, mission_text
 from mission.shell import setups
 from mission.shell.flight import fly
-from mission.shell.runner import Progress, Runner
+from mission.shell.progress import Progress
+from mission.shell.runner import Runner
 from mission.shell.warm_up import warm_up
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from mission.shell import journal as journals
 from mission.shell.agent_runner import AgentRunner, Crew
 from mission.shell.chronicle import Chronicle
 from mission.shell.keyboard import keyboard
-from mission.shell.runner import Progress
+from mission.shell.progress import Progress
 from mission.shell.setups import Setup
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from fieldkit.world.sources import TransientSource
 from mission.core.mission_file import Mission
 from mission.shell import setups
 from mission.shell.keyboard import keyboard
+from mission.shell.progress import Progress
 from mission.shell.recorder import Follower
-from mission.shell.runner import Progress, Runner
+from mission.shell.runner import Runner
 
 if TYPE_CHECKING:
     from mission.page.serve import LivePage

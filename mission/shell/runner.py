@@ -41,6 +41,7 @@ from mission.shell.alarms import alarms_shown, late_stops
 from mission.shell.dispatcher import ACQUIRE, RELEASE, Dispatcher
 from mission.shell.intake import end_tasks, streams_of
 from mission.shell.landing import Landing
+from mission.shell.progress import Progress
 from mission.shell.recorder import Follower, Look, MissionRecorder
 from mission.shell.setups import Setup
 from mission.shell.signals import WHY, StopSignals
@@ -54,22 +55,6 @@ SLEPT_S = 1.0
 """So much later than its time a tick may be, in wall time, before this computer is taken to have slept."""
 WAKING_S = 0.15
 """Wall time that devices have to say that this computer slept, before the silence of that time is thought about."""
-
-
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """What there is to show of a running mission."""
-
-    elapsed_s: float
-    detections: int
-    kernel: Kernel
-    doing: dict[str, str]
-    """Robot to what it is on: "search", "resolve 3", "held: ..."."""
-    notes: tuple[str, ...]
-    probability_left: float = 1.0
-    """That a source of the reference rate is still not found, as last looked at."""
-    alarms: tuple[str, ...] = ()
-    """What the operator must know at once, as long as it lasts."""
 
 
 @dataclass
@@ -434,6 +419,7 @@ class Runner:
 
     async def _finish(self, t_ns: int) -> None:
         self.records.end(self._stepped, t_ns)
+        self._show(t_ns, NOTHING)  # with the last look at the belief, as the page has it
         self.recorder.result(self._stepped, t_ns, self.result())
 
     def result(self) -> dict[str, Any]:

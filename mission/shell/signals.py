@@ -2,9 +2,11 @@
 
 The first one ends the mission: every vehicle is ordered to hold until it shows it. A second one changes nothing and
 says who has not shown it yet. A third one leaves, naming them; those after it lead to nothing until what was found has
-been said. SIGHUP comes when a terminal closes or ssh drops: the
-vehicles must not learn of it later than the operator. A shell passes it on to its jobs a moment later: after the first
-it leads to nothing outside of here either, and nothing is said to the closed terminal, so that the report is written.
+been said.
+
+SIGHUP comes when a terminal closes or ssh drops: the vehicles must not learn of it later than the operator. A shell
+passes it on to its jobs a moment later: after the first it leads to nothing outside of here either, and nothing is said
+to the closed terminal, so that the report is written.
 
 A terminal does not suspend a mission either: nobody would steer. Ctrl-Z holds all robots, and the mission goes on; one
 in the background neither reads nor is stopped for what is typed elsewhere.

@@ -14,7 +14,7 @@ from fieldkit.checks import Check, worst
 from fieldkit.clock import wall_s
 from fieldkit.console import is_quiet
 from fieldkit.messages import SourceEstimate
-from mission.shell.runner import Progress
+from mission.shell.progress import Progress
 from mission.shell.unhurried import unhurried_standard_error
 
 PLAIN_EVERY_S = 5.0
@@ -39,6 +39,8 @@ class Watch:
         self._live = Live(console=self._console, refresh_per_second=4, transient=True)
         self._notes: list[str] = []
         self._last_s = -PLAIN_EVERY_S
+        self._unsaid: Progress | None = None
+        """The latest state, where its line has not been due."""
         self._alarmed: set[str] = set()
         self._around = contextlib.ExitStack()
 
@@ -54,6 +56,8 @@ class Watch:
         with contextlib.suppress(OSError):
             if self._live.is_started:
                 self._live.stop()
+            elif self._unsaid is not None:
+                self._say(self._unsaid)
         self._around.close()
 
     def show(self, progress: Progress) -> None:
@@ -77,7 +81,14 @@ class Watch:
             self._live.update(_panel(progress))
         elif now_s - self._last_s >= PLAIN_EVERY_S:
             self._last_s = now_s
-            self._console.print(_line(progress), highlight=False, markup=False, soft_wrap=True)
+            self._say(progress)
+        else:
+            self._unsaid = progress
+
+    def _say(self, progress: Progress) -> None:
+        """The one line of a state."""
+        self._unsaid = None
+        self._console.print(_line(progress), highlight=False, markup=False, soft_wrap=True)
 
 
 def _found(progress: Progress) -> tuple[int, int]:

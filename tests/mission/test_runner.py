@@ -19,7 +19,8 @@ from fieldkit.world.bodies import Rover
 from fieldkit.world.fakes import FakeFleet, FakeReceiver
 from mission.lab.synthetic import small_mission
 from mission.replay.replay import replay
-from mission.shell.runner import Progress, Runner
+from mission.shell.progress import Progress
+from mission.shell.runner import Runner
 from mission.shell.setups import Setup, start_places
 
 
@@ -212,6 +213,17 @@ def test_progress_says_what_each_robot_does(tmp_path: Path) -> None:
         jumploop.run(Runner(mission, setup_for(mission), recorder, seen.append).run())
     assert seen[-1].doing.keys() == set(mission.kernel.engine.robots)
     assert any(note.startswith("end:") for progress in seen for note in progress.notes)
+
+
+def test_the_last_that_is_shown_is_the_last_look_at_the_belief(tmp_path: Path) -> None:
+    """The page has it too: two surfaces must not say different things of one mission."""
+    seen: list[Progress] = []
+    mission = small_mission(tmp_path, duration_s=15.0)
+    with RecordingWriter(tmp_path / "log.mcap") as recorder:
+        runner = Runner(mission, setup_for(mission), recorder, seen.append)
+        jumploop.run(runner.run())
+    assert seen[-1].probability_left == runner.kernel.belief.probability_left()
+    assert seen[-1].probability_left != seen[-2].probability_left
 
 
 async def test_the_fake_fleet_refuses_what_a_vehicle_would(tmp_path: Path) -> None:
