@@ -1,15 +1,12 @@
 """One robot's part in a team without a common computer: what it knows, and what it does on that. Pure.
 
-It keeps two lines of time. The common one goes as far as everybody's logs are known: it is the same, bit for bit, on
-every robot. While all are in contact the robot follows the plans of that one, and so do the others: they agree without
-talking about it. Robots out of contact would hold it up, so where some are, an agent goes on with a copy that waits for
-those in contact alone; whoever hears the same robots has the same copy. When the missing ones are back the common line
-catches up, and all return to it.
+It keeps two lines of time (`mission.core.lines`). The common one is the same, bit for bit, on every robot. While all
+are in contact the robot follows the plans of that one, and so do the others: they agree without talking about it. Where
+some are out of contact it follows the one of those that are not.
 
 An agent logs only what its own robot observes, and of every robot's commands it gives on its own robot's alone.
 """
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -32,18 +29,16 @@ from fieldkit.messages import (
     VehicleState,
     Waypoint,
 )
-from fieldkit.settings import AGENT_ABSENT_S, AGENT_WAIT_S, TICK_S
-from mission.core.kernel import NOTHING, Kernel, Outcome
+from fieldkit.settings import AGENT_WAIT_S
+from mission.core.kernel import NOTHING, Outcome
 from mission.core.kernel_settings import KernelSettings
+from mission.core.lines import Lines
 from mission.core.timeline import Timeline
 
 POSE_EVERY_S = 0.45
 """Poses nearer together in time than this are not logged: between two a second places are interpolated."""
 STATE_EVERY_S = 10.0
 """A vehicle's state that has not changed is logged so often."""
-CATCH_UP_TICKS = 20
-"""Ticks that a line of time is moved on by at one tick: more would keep the robot from being steered meanwhile."""
-ABSENT_TICKS = math.ceil(AGENT_ABSENT_S / TICK_S)
 BATTERY_STEP_PCT = 1.0
 ASK_AGAIN_S = 1.0
 """What safety has refused is asked for again so often, as long as it is what the plan says: another may have set out.
@@ -60,10 +55,7 @@ class Agent:
 
     settings: KernelSettings
     talk: Talk
-    common: Timeline = field(init=False)
-    """What everybody agrees on."""
-    line: Timeline = field(init=False)
-    """What it acts on: the common line, or one of those in contact."""
+    lines: Lines = field(init=False)
     unloggable: int = 0
     """Observations of its own that hold no numbers."""
     unlogged: list[Operator] = field(default_factory=list)
@@ -72,11 +64,6 @@ class Agent:
     """What has come to be known of others since the last tick, as it came."""
     patience_s: float = AGENT_WAIT_S
     """So long after its first tick it waits for robots that nobody has heard of."""
-    _next: Timeline | None = None
-    """A line that is still being brought up to the present."""
-    _follows: bool = False
-    """Whether the line it acts on has come to the present."""
-    _began_ns: int = 0
     _obeyed: set[Operator] = field(default_factory=set)
     _held_ns: int = 0
     _resumed_ns: int = 0
@@ -90,8 +77,17 @@ class Agent:
     """When it last gave its robot a command."""
 
     def __post_init__(self) -> None:
-        self.common = Timeline(Kernel(self.settings), self.logs.robots)
-        self.line = self.common
+        self.lines = Lines(self.settings, self.logs, patience_s=self.patience_s)
+
+    @property
+    def common(self) -> Timeline:
+        """What everybody agrees on."""
+        return self.lines.common
+
+    @property
+    def line(self) -> Timeline:
+        """What it acts on: the common line, or one of those in contact."""
+        return self.lines.line
 
     @property
     def logs(self) -> Logs:
@@ -188,7 +184,7 @@ class Agent:
 
     def _begin(self, now_ns: int) -> None:
         """Its log begins, or goes on after a restart, in which its robot heard nothing."""
-        self._ready, self._began_ns = True, now_ns
+        self._ready = True
         before = self.logs.closed_of(self.me)
         if before > NEVER:
             self._log(ReceiverState(before * TICK_NS, self.me, False, "its agent was restarted"), now_ns)
@@ -202,16 +198,8 @@ class Agent:
         if not self._ready:
             self._begin(now_ns)
         self.logs.close(now_ns)
-        outcomes = self.common.step_to(self.logs, self.logs.checkpoint(), CATCH_UP_TICKS)
-        line, followed = self.line, self._follows
-        if now_ns // TICK_NS - self.common.horizon <= ABSENT_TICKS:
-            self.line, self._next, self._follows = self.common, None, True
-        elif len(present := self.present(now_ns)) < len(self.logs.robots):
-            outcomes = self._apart(present, now_ns)
-        elif self.line is self.common:  # everybody is here, and it is still catching up
-            outcomes, self._follows = [], False
-        else:
-            outcomes = self._step(self.line)
+        line, followed = self.line, self.lines.follows
+        outcomes = self.lines.step(now_ns)
         commands = [
             command
             for outcome in outcomes
@@ -220,44 +208,17 @@ class Agent:
         ]
         changed = self.line is not line or not followed
         refused = self._target is None and (now_ns - self._asked_ns) * 1e-9 >= ASK_AGAIN_S
-        if self._follows and not commands and (changed or refused):
+        if self.lines.follows and not commands and (changed or refused):
             commands += self._standing(now_ns)
         return self._of(now_ns, commands, outcomes)
 
-    def _step(self, line: Timeline) -> list[Outcome]:
-        return line.step_to(self.logs, self.logs.checkpoint(line.members), CATCH_UP_TICKS)
-
-    def _apart(self, present: tuple[str, ...], now_ns: int) -> list[Outcome]:
-        """Go on with those in contact alone; what that led to."""
-        # Before anything is common others may only not be ready; after a restart they will be heard soon.
-        wait_s = self.patience_s if self.common.horizon == NEVER else min(self.patience_s, AGENT_ABSENT_S)
-        if (now_ns - self._began_ns) * 1e-9 < wait_s:
-            return []
-        ahead = self._next or self.line
-        if ahead is self.common or ahead.members != present or ahead.has_missed(self.logs):
-            self._next = self.common.copy(present)
-        if self._next is not None:
-            outcomes = self._step(self._next)
-            if self._next.horizon < self.logs.checkpoint(self._next.members):
-                return [] if self.line is self.common else self._step(self.line)
-            self.line, self._next, self._follows = self._next, None, True
-            return outcomes
-        return self._step(self.line)
-
     def present(self, now_ns: int) -> tuple[str, ...]:
         """Robots in contact, over others too: those of which everything is known up to a few seconds ago."""
-        least = now_ns // TICK_NS - ABSENT_TICKS
-        return tuple(robot for robot in self.logs.robots if self.logs.closed_of(robot) >= least)
+        return self.lines.present(now_ns)
 
     def ages_s(self, now_ns: int) -> dict[str, float]:
         """How old what is known of each other robot is; infinite where nothing is."""
-        return {
-            robot: math.inf
-            if (tick := self.logs.closed_of(robot)) == NEVER
-            else now_ns * 1e-9 - tick * TICK_S
-            for robot in self.logs.robots
-            if robot != self.me
-        }
+        return self.lines.ages_s(now_ns)
 
     def _standing(self, now_ns: int) -> list[Command]:
         """What a line that it now acts on has its robot do."""
