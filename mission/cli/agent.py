@@ -13,6 +13,7 @@ from mission.cli.options import (
     JsonOption,
     PortOption,
     before_the_start,
+    may_be_shown,
     print_json,
     run_folder,
     say,
@@ -126,6 +127,7 @@ def agent(
     setup = setups.of_robot(mission, robot, clock)
     resumed = interrupted(out, card)
     options = Options(robot, secret, contact_m, bytes_s, override, resumed)
+    may_be_shown(page, page_host, page_port)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     with before_the_start():
         warm_up(mission)

@@ -17,6 +17,7 @@ from mission.cli.options import (
     before_the_start,
     begun_folder,
     informed_maps,
+    may_be_shown,
     print_json,
     say,
     shown_page,
@@ -75,17 +76,21 @@ def run(
     elif mission_file is not None:
         mission = read_mission(mission_file)
     setup = setups.live(mission)
+    may_be_shown(page, page_host, page_port)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     warm_up(mission)
-    folder = begun_folder(out, mission)
-    say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
-    with (
-        shown_page(mission, page, page_host, page_port) as shown,
-        informed_maps(mission) as others,
-        Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
-    ):
+    with begun_folder(out, mission) as (folder, on_start):
         log = folder / "mission.mcap"
-        runner = fly(mission, setup, log, watch.show, page=shown, override=override, past=past, others=others)
+        say(f"recording to {log}; waiting for {', '.join(mission.kernel.engine.robots)} ...")
+        with (
+            shown_page(mission, page, page_host, page_port) as shown,
+            informed_maps(mission) as others,
+            Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
+        ):
+            runner = fly(
+                mission, setup, log, watch.show,
+                page=shown, override=override, past=past, others=others, on_start=on_start,
+            )  # fmt: skip
     print_flown(runner, folder, as_json=as_json)
 
 

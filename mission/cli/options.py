@@ -2,8 +2,9 @@
 
 import json
 import os
+import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -67,6 +68,14 @@ def before_the_start() -> Iterator[None]:
         raise SystemExit(128 + stopped.number) from None
 
 
+def may_be_shown(wanted: bool, host: str, port: int) -> None:
+    """Raises `ConfigError` where a wanted page cannot be served by now."""
+    if wanted:
+        from mission.page.server import may_be_served
+
+        may_be_served(host, port)
+
+
 @contextmanager
 def shown_page(mission: "Mission", wanted: bool, host: str, port: int) -> "Iterator[LivePage | None]":
     """The live page, and where to find it, on standard error."""
@@ -118,14 +127,29 @@ def informed_maps(mission: "Mission") -> "Iterator[tuple[Follower, ...]]":
         yield (sender.latest,)
 
 
-def begun_folder(out: Path, mission: "Mission") -> Path:
-    """A folder of its own for this run, with the two files that it is flown with."""
+@contextmanager
+def begun_folder(out: Path, mission: "Mission") -> "Iterator[tuple[Path, Callable[[Runner], None]]]":
+    """A folder of its own for this run, with the two files that it is flown with; and what the runner is given to.
+
+    The folder goes again where the run ends by an error before its runner has begun.
+    """
     from fieldkit.files import write_whole
 
+    there_before = out.exists()
     folder = run_folder(out)
-    write_whole(folder / "mission.toml", mission.text)
-    write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
-    return folder
+    runners: list[Runner] = []
+    try:
+        write_whole(folder / "mission.toml", mission.text)
+        write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
+        yield folder, runners.append
+    except BaseException:
+        if not any(runner.begun for runner in runners):
+            shutil.rmtree(folder, ignore_errors=True)
+            if not there_before:
+                with suppress(OSError):
+                    out.rmdir()
+            say(f"nothing was begun: {folder} is taken away again")
+        raise
 
 
 def may_hold_runs(out: Path) -> None:

@@ -16,6 +16,7 @@ from mission.cli.options import (
     before_the_start,
     begun_folder,
     informed_maps,
+    may_be_shown,
     may_hold_runs,
     say,
     shown_page,
@@ -106,7 +107,6 @@ def walk(
     from mission.core.mission_file import read_mission
     from mission.core.walk_text import WalkOptions
     from mission.maps.background import read_background
-    from mission.page.server import may_be_served
     from mission.shell import setups
     from mission.shell.flight import fly
     from mission.shell.terminal import Watch
@@ -120,13 +120,13 @@ def walk(
                 f"{mission_file}: robot: nobody walks; give a robot "
                 'vehicle = { driver = "person", address = "page" }'
             )
+        may_be_shown(page, page_host, page_port)
     else:
         if not name.strip():
             raise ConfigError(f"--name: expected what to call whoever walks, got '{name}'; or leave it out")
         _all_there(receiver, gnss, antenna, background)
         may_hold_runs(out)
-        if page:
-            may_be_served(page_host, page_port)
+        may_be_shown(page, page_host, page_port)
         picture = "" if background is None else str(background.resolve())
         options = WalkOptions(
             receiver_of(receiver), gnss, Path(antenna or "").name, (0.0, 0.0), size_m, rate_hz, float(sources),
@@ -137,11 +137,14 @@ def walk(
     setup = setups.live(mission)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     warm_up(mission)
-    folder = begun_folder(out, mission)
-    say(f"recording to {folder}/mission.mcap; waiting for {', '.join(mission.kernel.engine.robots)} ...")
-    with shown_page(mission, page, page_host, page_port) as shown:
+    with (
+        begun_folder(out, mission) as (folder, on_start),
+        shown_page(mission, page, page_host, page_port) as shown,
+    ):
+        log = folder / "mission.mcap"
+        say(f"recording to {log}; waiting for {', '.join(mission.kernel.engine.robots)} ...")
         with informed_maps(mission) as others, Watch(quiet=as_json and not sys.stderr.isatty()) as watch:
-            runner = fly(mission, setup, folder / "mission.mcap", watch.show, page=shown, others=others)
+            runner = fly(mission, setup, log, watch.show, page=shown, others=others, on_start=on_start)
         print_flown(runner, folder, as_json=as_json)
         stay_open(shown, runner)
 

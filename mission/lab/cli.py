@@ -13,6 +13,7 @@ from mission.cli.options import (
     JsonOption,
     PageOption,
     PortOption,
+    may_be_shown,
     print_json,
     run_folder,
     say,
@@ -49,6 +50,7 @@ def demo(
     """
     if walk and drone:
         raise ConfigError("--walk and --drone are two demos; give one of them")
+    may_be_shown(page, page_host, page_port)
     if walk or drone:
         _small_demo("" if drone else walk, seed, out, rate, (page, page_host, page_port), as_json)
         return

@@ -72,6 +72,8 @@ class Runner:
     kernel: Kernel = field(init=False)
     safety: Safety = field(init=False)
     end_reason: str = ""
+    begun: bool = False
+    """Whether anything has come in that was not recorded by an earlier mission."""
 
     def __post_init__(self) -> None:
         self.kernel, self.safety = self.minds()
@@ -168,6 +170,7 @@ class Runner:
     def put(self, event: Event) -> None:
         """Into the inbox, stamped with the time it arrives there. What stops robots goes out at once."""
         self._number += 1
+        self.begun = True
         if isinstance(event, Operator) and (stopped := self._stopped_by(event)):
             self.dispatcher.freeze(stopped, event.t_ns, event.reason or f"operator: {event.action}")
             self._frozen_for[self._number] = stopped
