@@ -193,7 +193,7 @@ class Flock:
     def _listens(self, name: str) -> bool:
         """Whether an agent that was started again waits for what it has lost."""
         talk = self.agents[name].talk
-        lacks = not talk.logs.has_begun and talk.lacks_own()
+        lacks = not talk.logs.has_begun and talk.lacks_own(self.now_ns(name))
         return lacks or self.world.t_s < self._listens_until_s.get(name, 0.0)
 
     def order(self, name: str, action: str, robot: str | None = None) -> None:

@@ -181,7 +181,7 @@ class AgentRunner(Runner):
         """Look round first: nothing of the robot's is touched where another agent has it."""
         clock, talk, began_s = self.setup.clock, self.crew.agent.talk, self.setup.clock.elapsed_s()
         while (waited_s := clock.elapsed_s() - began_s) < LOOK_ROUND_S or (
-            talk.lacks_own() and waited_s < OWN_LOG_S
+            talk.lacks_own(clock.now_ns()) and waited_s < OWN_LOG_S
         ):
             self._speak()
             await clock.sleep(TICK_S)

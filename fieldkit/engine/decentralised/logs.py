@@ -47,9 +47,10 @@ MOST_PENDING = 256
 
 @dataclass
 class Logs:
-    """All logs of a team as one robot knows them."""
+    """All logs of a team as one member knows them."""
 
     me: str
+    """Its robot; empty: a computer without one, which adds to no log."""
     robots: tuple[str, ...]
     entries: dict[Key, Log] = field(init=False)
     closed: dict[Key, int] = field(init=False)
@@ -62,7 +63,7 @@ class Logs:
     _pending: dict[Key, dict[int, Part]] = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.me not in self.robots:
+        if self.me and self.me not in self.robots:
             raise ValueError(f"robot {self.me!r} is not one of {', '.join(self.robots)}")
         keys = list(self.keys(self.robots))
         self.entries = {key: Log(*key) for key in keys}
@@ -73,6 +74,11 @@ class Logs:
     def keys(robots: Iterable[str]) -> Iterator[Key]:
         """The logs of these robots, in a fixed order."""
         return ((robot, stream) for robot in robots for stream in Stream)
+
+    @property
+    def own(self) -> tuple[Key, ...]:
+        """One's own logs, the most urgent first."""
+        return tuple(self.keys((self.me,))) if self.me in self.robots else ()
 
     # -- one's own -----------------------------------------------------------------------------------------
 
@@ -89,7 +95,7 @@ class Logs:
     def close(self, now_ns: int) -> None:
         """Say that one's own logs are whole up to the last tick before `now_ns`. A clock set back changes nothing."""
         tick = now_ns // TICK_NS
-        for key in self.keys((self.me,)):
+        for key in self.own:
             self.closed[key] = max(self.closed[key], tick)
 
     # -- others' -------------------------------------------------------------------------------------------

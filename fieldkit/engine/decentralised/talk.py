@@ -5,14 +5,20 @@ knows, and what is new in its own logs. Whose table shows that it lacks somethin
 it hears that one, else from the first by name that it does hear and that has more. So what robots know travels with
 them, and after a long separation the logs fill up at the pace that the budget allows, orders before readings before
 poses.
+
+A watcher is a member without a robot, such as the operator's laptop. It has no log, so nobody waits for it; it has a
+number out of `WATCHERS`, and may come and go. It gets what it lacks from what robots leave of their budget, and hands
+on what it has.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 
 from fieldkit.engine.decentralised import packing
 from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, TICK_NS, Entry, Key, Logs, Part, Stream
+from fieldkit.engine.decentralised.peer import LAGS, Peer
 from fieldkit.engine.decentralised.sealing import OVERHEAD_BYTES, Opened, Seal
 from fieldkit.engine.decentralised.ways import NO_WAY, Way, read_way, write_way
 from fieldkit.errors import RecordingError
@@ -21,25 +27,20 @@ from fieldkit.settings import AGENT_BYTES_S, TICK_S
 
 STATE, PARTS, ORDER = 1, 2, 3
 OPERATOR = 255
-"""The number of a computer that has no robot and no log: it gives orders alone."""
+"""The number of a computer that has no robot and no copies of logs: it gives orders alone."""
+WATCHERS = range(128, OPERATOR)
+"""Numbers of computers that have no robot and keep copies of all logs. Each draws one."""
 CODES = 2**14
 """Orders are acknowledged by their time, in so many numbers: two bytes."""
 MESSAGE_BYTES = 1_000
 """What fits into one datagram on any link."""
 MOST_OF_A_PART = 16
 """Entries of a part: what is lost of it is sent again whole."""
-HEARS_S = 3.0
-"""A member that was heard no longer ago than this is in range."""
-ROUND_TRIP_S = 1.0
 LONGEST_ROUND_TRIP_S = 20.0
-AGAIN_TRIPS = 0.5
-"""What does not arrive is sent again after so many round trips: less than one, since the second try may be lost too."""
 SAID_AGAIN = 6
 """Ticks at which an order is said once more: with a third of all messages lost, one in two thousand is then missed."""
 BURST_S = 2.0
 """What was not used of the budget is kept for so long."""
-LAGS = 6
-"""Tables by which a clock is measured."""
 CLOCKS_AGREE_S = 0.1
 """Clocks that are less apart are left as they are: readings of one transmission are joined over more."""
 CLOCKS_SETTLE_S = 20.0
@@ -48,55 +49,13 @@ SLOW_S, SLOW_TIMES = 2.5, 3
 """Where a round trip takes longer, what is lost would be missed for long: what is new is said at so many ticks."""
 
 
-@dataclass
-class Peer:
-    """What a member knows of another by its messages."""
+class Cause(Enum):
+    """Why a part is sent."""
 
-    heard_ns: int
-    """When it was last heard, by our clock."""
-    counts: dict[Key, int] = field(default_factory=dict)
-    """How many entries it has of each log, as it last said."""
-    hears: tuple[str, ...] = ()
-    """Whom it hears."""
-    said_ns: int = 0
-    """When it said the last of what follows, by its clock: messages overtake each other."""
-    way: Way | None = None
-    """Where it may be."""
-    knows: int = NO_WAY
-    """The number of the last way of ours that it knows."""
-    obeyed: int = -1
-    """The code of the last order that it has obeyed; -1: none."""
-    lags_s: deque[float] = field(default_factory=lambda: deque(maxlen=LAGS))
-    """Of its last tables: when they came by our clock, less when they left by its own."""
-    told_lag_s: float | None = None
-    """The least such lag of ours at it, as it last said."""
-    round_trips_s: deque[float] = field(default_factory=lambda: deque([ROUND_TRIP_S], maxlen=8))
-    sent: dict[Key, int] = field(default_factory=dict)
-    """Up to which entry each log was sent again to it."""
-    moved_ns: dict[Key, int] = field(default_factory=dict)
-    """When it last had more of a log, or was begun to be sent it again."""
-
-    @property
-    def round_trip_s(self) -> float:
-        return min(self.round_trips_s)
-
-    @property
-    def lag_s(self) -> float | None:
-        """The least of its lags: delay, less what its clock is ahead of ours."""
-        return min(self.lags_s, default=None)
-
-    def said(self, key: Key, count: int, now_ns: int) -> None:
-        """It has so many entries of a log."""
-        if count > self.counts.get(key, 0):
-            self.moved_ns[key] = now_ns
-        self.counts[key] = count
-
-    def next_of(self, key: Key, now_ns: int) -> int:
-        """The entry to go on with: where sending has come to, or anew from what it has where that does not move."""
-        count, waited_s = self.counts.get(key, 0), (now_ns - self.moved_ns.get(key, 0)) * 1e-9
-        if waited_s > AGAIN_TRIPS * self.round_trip_s + 2.0 * TICK_S:
-            self.moved_ns[key], self.sent[key] = now_ns, count
-        return max(count, self.sent.get(key, 0))
+    NEW = "new"
+    AGAIN = "again"
+    SPARE = "spare"
+    """For watchers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +63,7 @@ class Said:
     """What came of one message."""
 
     robot: str
-    """Empty: the computer of an operator."""
+    """Empty: a computer without a robot."""
     new: tuple[Entry, ...] = ()
     """Entries that we did not have."""
     order: Operator | None = None
@@ -119,8 +78,10 @@ class Talk:
     seal: Seal
     bytes_s: float = AGENT_BYTES_S.default
     peers: dict[str, Peer] = field(default_factory=dict)
+    """Robots."""
+    watchers: dict[int, Peer] = field(default_factory=dict)
     sent: Counter[str] = field(default_factory=Counter)
-    """Bytes sent, by what they were: "state", "new", "again", "order", and what the shell adds."""
+    """Bytes sent, by what they were: "state", "new", "again", "spare", "order", and what the shell adds."""
     heard_bytes: int = 0
     obeyed: int = -1
     """The code of the last order that our robot has obeyed."""
@@ -146,10 +107,13 @@ class Talk:
         if opened is None:
             return None
         robots = self.logs.robots
-        if opened.sender >= len(robots):
+        if opened.sender < len(robots):
+            name = robots[opened.sender]
+            peer = self.peers.setdefault(name, Peer(now_ns))
+        elif opened.sender in WATCHERS:
+            name, peer = "", self.watchers.setdefault(opened.sender, Peer(now_ns))
+        else:
             return self._from_operator(opened)
-        name = robots[opened.sender]
-        peer = self.peers.setdefault(name, Peer(now_ns))
         peer.heard_ns = now_ns
         if opened.kind == STATE:
             peer.lags_s.append((now_ns - opened.sent_ns) * 1e-9)
@@ -187,9 +151,11 @@ class Talk:
         known = {robot: NO_WAY if (age := reader.uint()) == 0 else tick - age + 1 for robot in robots}
         lags_s = dict(zip(robots, (_read_lag(reader) for _ in robots), strict=True))
         obeyed = reader.uint() - 1
+        watchers = {reader.uint(): _read_lag(reader) for _ in range(reader.uint())}
         if sent_ns > peer.said_ns:
             peer.said_ns, peer.hears, peer.way, peer.obeyed = sent_ns, hears, way, obeyed
-            peer.knows, peer.told_lag_s = known.get(self.logs.me, NO_WAY), lags_s.get(self.logs.me)
+            peer.knows = known.get(self.logs.me, NO_WAY)
+            peer.told_lag_s = lags_s.get(self.logs.me, watchers.get(self.seal.me))
         return {key: (reader.uint(), tick - reader.sint()) for key in self.logs.keys(robots)}
 
     def _learn(self, peer: Peer, table: dict[Key, tuple[int, int]], now_ns: int) -> None:
@@ -213,8 +179,17 @@ class Talk:
 
     def order(self, order: Operator, now_ns: int) -> bytes:
         """An order as it leaves at once; it is said again with the next ticks."""
-        self._orders.append((SAID_AGAIN, order))
+        self.keep_saying(order)
         return self.say_order(order, now_ns)
+
+    def keep_saying(self, order: Operator) -> None:
+        """An order is said with the next ticks, once at each."""
+        self.say_no_more(order)
+        self._orders.append((SAID_AGAIN, order))
+
+    def say_no_more(self, order: Operator) -> None:
+        """It is void."""
+        self._orders = [(left, said) for left, said in self._orders if said != order]
 
     def messages(
         self, now_ns: int, way: Way | None = None, known: Mapping[str, Way] | None = None
@@ -236,15 +211,21 @@ class Talk:
         return [*orders, first, *rest]
 
     def in_range(self, now_ns: int) -> list[str]:
-        """Members that are heard."""
-        return [name for name, peer in self.peers.items() if (now_ns - peer.heard_ns) * 1e-9 <= HEARS_S]
+        """Robots that are heard."""
+        return [name for name, peer in self.peers.items() if peer.is_heard(now_ns)]
 
-    def lacks_own(self) -> bool:
-        """Whether somebody has more of our own logs than we: before anything is added, they bring us the rest."""
-        counts = {key: len(self.logs.entries[key]) for key in self.logs.keys((self.logs.me,))}
-        return any(
-            peer.counts.get(key, 0) > count for peer in self.peers.values() for key, count in counts.items()
-        )
+    def watchers_in_range(self, now_ns: int) -> list[int]:
+        """Watchers that are heard."""
+        return [number for number, peer in self.watchers.items() if peer.is_heard(now_ns)]
+
+    def lacks_own(self, now_ns: int) -> bool:
+        """Whether somebody has more of our own logs than we: before anything is added, they bring us the rest.
+
+        A watcher that has gone will bring nothing.
+        """
+        counts = {key: len(self.logs.entries[key]) for key in self.logs.own}
+        peers = [*self.peers.values(), *(self.watchers[number] for number in self.watchers_in_range(now_ns))]
+        return any(peer.counts.get(key, 0) > count for peer in peers for key, count in counts.items())
 
     def clock_off(self, now_ns: int) -> tuple[str, float] | None:
         """Whose clock is to be followed, and by how many seconds ours is ahead of it; None where nothing is to be done.
@@ -269,7 +250,7 @@ class Talk:
         Stamps only grow: set back, they say too much for so long.
         """
         self._clock_set_ns = now_ns + round((CLOCKS_SETTLE_S + max(0.0, by_s)) * 1e9)
-        for peer in self.peers.values():
+        for peer in (*self.peers.values(), *self.watchers.values()):
             peer.heard_ns -= round(by_s * 1e9)
             peer.lags_s.clear()
             peer.told_lag_s = None
@@ -296,36 +277,47 @@ class Talk:
         for robot in logs.robots:
             _write_lag(out, self.peers[robot].lag_s if robot in heard else None)
         out.uint(self.obeyed + 1)
+        watchers = self.watchers_in_range(now_ns)
+        out.uint(len(watchers))
+        for number in watchers:
+            out.uint(number)
+            _write_lag(out, self.watchers[number].lag_s)
         for key in logs.keys(logs.robots):
             out.uint(len(logs.entries[key]))
             out.sint(tick - logs.closed[key])
         return bytes(out.data)
 
-    def _wanted(self, now_ns: int) -> Iterable[tuple[bool, Part]]:
-        """What could be sent: (whether it is sent again, part), the most urgent first."""
+    def _wanted(self, now_ns: int) -> Iterable[tuple[Cause, Part]]:
+        """What could be sent, the most urgent first; for watchers what no robot lacks."""
         logs = self.logs
+        robots = {name: self.peers[name] for name in self.in_range(now_ns)}
+        slow = any(peer.round_trip_s > SLOW_S for peer in robots.values())
+        told = self._told_before[0] if slow else self._told
         for stream in Stream:
-            key = (logs.me, stream)
-            slow = any(self.peers[name].round_trip_s > SLOW_S for name in self.in_range(now_ns))
-            told = (self._told_before[0] if slow else self._told).get(key, 0)
-            for part in self._parts(key, told, len(logs.entries[key])):
-                yield False, part
-            for key in logs.keys(logs.robots):
-                if key[1] == stream and (since := self._lacked(key, now_ns)) is not None:
-                    for part in self._parts(key, *since):
-                        yield True, part
+            for key in (key for key in logs.own if key[1] == stream):
+                for part in self._parts(key, told.get(key, 0), len(logs.entries[key])):
+                    yield Cause.NEW, part
+            yield from ((Cause.AGAIN, part) for part in self._lacking(stream, robots.values(), now_ns))
+        watchers = [self.watchers[number] for number in self.watchers_in_range(now_ns)]
+        for stream in Stream:
+            yield from ((Cause.SPARE, part) for part in self._lacking(stream, watchers, now_ns))
+
+    def _lacking(self, stream: Stream, peers: Collection[Peer], now_ns: int) -> Iterable[Part]:
+        """Parts of the logs of one kind that some of these lack."""
+        for key in self.logs.keys(self.logs.robots):
+            if key[1] == stream and (since := self._lacked(key, peers, now_ns)) is not None:
+                yield from self._parts(key, *since)
 
     def _parts(self, key: Key, first: int, end: int) -> Iterable[Part]:
         for start in range(first, end, MOST_OF_A_PART):
             yield Part(*key, start, tuple(self.logs.entries[key][start : min(end, start + MOST_OF_A_PART)]))
 
-    def _lacked(self, key: Key, now_ns: int) -> tuple[int, int] | None:
+    def _lacked(self, key: Key, peers: Collection[Peer], now_ns: int) -> tuple[int, int] | None:
         """From which entry to which a log is to be sent again, for all that lack it and that we answer."""
         log, mine = self.logs.entries[key], key[0] == self.logs.me
         end = self._told.get(key, 0) if mine else len(log)
         firsts = []
-        for name in self.in_range(now_ns):
-            peer = self.peers[name]
+        for peer in peers:
             count = peer.counts.get(key, 0)
             if count >= end:
                 continue
@@ -333,52 +325,60 @@ class Talk:
                 settled_ns = now_ns - round((peer.round_trip_s + TICK_S) * 1e9)
                 if log[count].order_ns > settled_ns:
                     continue
-            elif self._answers(name, key) != self.logs.me:
+            elif self._answers(peer, key) != self.logs.me:
                 continue
             if (first := peer.next_of(key, now_ns)) < end:
                 firsts.append(first)
         return (min(firsts), end) if firsts else None
 
-    def _answers(self, lacking: str, key: Key) -> str:
-        """Who sends a member what it lacks: the author where it hears that one, else the first that has more."""
-        peer, me = self.peers[lacking], self.logs.me
-        hears = {*peer.hears, me}
+    def _answers(self, peer: Peer, key: Key) -> str:
+        """Who sends a member what it lacks: the author where it hears that one, else the first that has more.
+
+        Robots come before watchers, which nobody knows to be there: of several each sends it.
+        """
+        me, hears = self.logs.me, {*peer.hears, self.logs.me}
         if key[0] in hears:
             return key[0]
         known = {name: self.peers[name].counts.get(key, 0) for name in self.peers if name in hears}
         known[me] = len(self.logs.entries[key])
-        return min(name for name, count in known.items() if count > peer.counts.get(key, 0))
+        having = (name for name, count in known.items() if count > peer.counts.get(key, 0))
+        return min(having, key=lambda name: (not name, name))
 
-    def _fill(self, state: bytes, wanted: Iterable[tuple[bool, Part]], now_ns: int) -> list[bytes]:
-        """Bodies of messages within the budget: the first begins with the state, the others with the tick."""
+    def _fill(self, state: bytes, wanted: Iterable[tuple[Cause, Part]], now_ns: int) -> list[bytes]:
+        """Bodies of messages within the budget: the first begins with the state, the others with the tick.
+
+        What is sent to watchers leaves what a tick brings: nothing of the next one waits for it.
+        """
         tick = now_ns // TICK_NS
         head = packing.Bytes()
         head.uint(tick)
         bodies = [state]
-        for again, part in wanted:
+        for cause, part in wanted:
             out = packing.Bytes()
             packing.pack_part(out, part, self.logs.robots, tick * TICK_NS)
             size = len(out.data)
-            if self._left < size:
+            if self._left - (self.bytes_s * TICK_S if cause is Cause.SPARE else 0.0) < size:
                 break  # nothing less urgent goes before it
             if len(bodies[-1]) + size > MESSAGE_BYTES:
                 bodies.append(bytes(head.data))
                 self._left -= OVERHEAD_BYTES
             bodies[-1] += bytes(out.data)
             self._left -= size
-            self.sent["again" if again else "new"] += size
-            self._has_left(part, again, now_ns)
+            self.sent[cause.value] += size
+            self._has_left(part, cause, now_ns)
         return bodies
 
-    def _has_left(self, part: Part, again: bool, now_ns: int) -> None:
+    def _has_left(self, part: Part, cause: Cause, now_ns: int) -> None:
         """Remember up to where a log has been sent."""
         end = part.first + len(part.entries)
-        if not again:
+        if cause is Cause.NEW:
             self._told[part.key] = max(self._told.get(part.key, 0), end)
             return
-        for name in self.in_range(now_ns):
-            peer = self.peers[name]
-            peer.sent[part.key] = max(peer.sent.get(part.key, 0), end)
+        robots = [self.peers[name] for name in self.in_range(now_ns)]
+        for peer in (*robots, *(self.watchers[number] for number in self.watchers_in_range(now_ns))):
+            # Where one lacks more, others' parts say nothing of what lies before.
+            if max(peer.counts.get(part.key, 0), peer.sent.get(part.key, 0)) >= part.first:
+                peer.sent[part.key] = max(peer.sent.get(part.key, 0), end)
 
 
 def code_of(order: Operator) -> int:

@@ -1,0 +1,71 @@
+"""What a member knows of another by its messages. Pure."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from fieldkit.engine.decentralised.entries import Key
+from fieldkit.engine.decentralised.ways import NO_WAY, Way
+from fieldkit.settings import TICK_S
+
+HEARS_S = 3.0
+"""A member that was heard no longer ago than this is in range."""
+ROUND_TRIP_S = 1.0
+AGAIN_TRIPS = 0.5
+"""What does not arrive is sent again after so many round trips: less than one, since the second try may be lost too."""
+LAGS = 6
+"""Tables by which a clock is measured."""
+
+
+@dataclass
+class Peer:
+    """What a member knows of another by its messages."""
+
+    heard_ns: int
+    """When it was last heard, by our clock."""
+    counts: dict[Key, int] = field(default_factory=dict)
+    """How many entries it has of each log, as it last said."""
+    hears: tuple[str, ...] = ()
+    """Whom it hears."""
+    said_ns: int = 0
+    """When it said the last of what follows, by its clock: messages overtake each other."""
+    way: Way | None = None
+    """Where it may be."""
+    knows: int = NO_WAY
+    """The number of the last way of ours that it knows."""
+    obeyed: int = -1
+    """The code of the last order that it has obeyed; -1: none."""
+    lags_s: deque[float] = field(default_factory=lambda: deque(maxlen=LAGS))
+    """Of its last tables: when they came by our clock, less when they left by its own."""
+    told_lag_s: float | None = None
+    """The least such lag of ours at it, as it last said."""
+    round_trips_s: deque[float] = field(default_factory=lambda: deque([ROUND_TRIP_S], maxlen=8))
+    sent: dict[Key, int] = field(default_factory=dict)
+    """Up to which entry each log was sent again to it."""
+    moved_ns: dict[Key, int] = field(default_factory=dict)
+    """When it last had more of a log, or was begun to be sent it again."""
+
+    @property
+    def round_trip_s(self) -> float:
+        return min(self.round_trips_s)
+
+    @property
+    def lag_s(self) -> float | None:
+        """The least of its lags: delay, less what its clock is ahead of ours."""
+        return min(self.lags_s, default=None)
+
+    def said(self, key: Key, count: int, now_ns: int) -> None:
+        """It has so many entries of a log."""
+        if count > self.counts.get(key, 0):
+            self.moved_ns[key] = now_ns
+        self.counts[key] = count
+
+    def next_of(self, key: Key, now_ns: int) -> int:
+        """The entry to go on with: where sending has come to, or anew from what it has where that does not move."""
+        count, waited_s = self.counts.get(key, 0), (now_ns - self.moved_ns.get(key, 0)) * 1e-9
+        if waited_s > AGAIN_TRIPS * self.round_trip_s + 2.0 * TICK_S:
+            self.moved_ns[key], self.sent[key] = now_ns, count
+        return max(count, self.sent.get(key, 0))
+
+    def is_heard(self, now_ns: int) -> bool:
+        """Whether it is in range."""
+        return (now_ns - self.heard_ns) * 1e-9 <= HEARS_S
