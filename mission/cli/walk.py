@@ -191,10 +191,12 @@ def _round_here(options: "WalkOptions", beside: Path) -> "Mission":
     from mission.core.mission_file import mission_of
     from mission.core.walk_text import walk_text
     from mission.shell import setups
-    from mission.shell.first_fix import first_fix
+    from mission.shell.first_fix import first_fix, must_open
 
     where = beside / "(options)"
-    setups.live(mission_of(walk_text(options), where))
+    setup = setups.live(mission_of(walk_text(options), where))
+    for receiver in setup.receivers:
+        must_open(receiver, str(options.receiver["port"]))
     say(f"waiting for a position from {options.gnss} ...")
     lat_deg, lon_deg = asyncio.run(first_fix(options.gnss, FIRST_FIX_S))
     half_m = options.size_m / 2

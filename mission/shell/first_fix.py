@@ -1,15 +1,32 @@
-"""Where somebody stands, before there is a field."""
+"""Where somebody stands, before there is a field; and whether their radio is there, before they wait for that."""
 
 import asyncio
+from pathlib import Path
 
 from fieldkit import plugins
 from fieldkit.clock import RealClock
 from fieldkit.errors import DeviceTimeout
 from fieldkit.geo import FieldFrame
-from fieldkit.ports import DriverContext
+from fieldkit.ports import DriverContext, Receiver
 from fieldkit.settings import WALKER
 
 NEARBY_DEG = 0.01
+
+
+def must_open(receiver: Receiver, port: str) -> None:
+    """Raises `DeviceError` where the device of a receiver cannot be opened by now.
+
+    Whoever is at the far end of a network or writes into a pipe would notice, and may not come back: those are left
+    alone, and so is standard input.
+    """
+    if "://" in port or port == "-" or Path(port).is_fifo():
+        return
+
+    async def open_once() -> None:
+        async with receiver:
+            pass
+
+    asyncio.run(open_once())
 
 
 async def first_fix(port: str, patience_s: float) -> tuple[float, float]:

@@ -345,6 +345,7 @@ def test_a_walk_that_found_nothing_counts_as_longer_than_all_others() -> None:
             "--receiver: with a mission file that is [[robot]] receiver in",
         ),
         (["walk", "m.toml", "--size-m", "300"], "--size-m: with a mission file that is [field] size_east_m"),
+        (DEVICES, "lines of walker: no device at x; "),
         (["demo", "--walk", "smoke"], "--walk: expected one of ble, wifi, lora"),
         (["demo", "--walk", "xbee", "--drone"], "--walk and --drone are two demos"),
     ],
