@@ -4,12 +4,15 @@ import sys
 from functools import partial
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from drivers.emulators.defaults import FIRMWARE, HIDDEN_HZ, PICTURES_HZ, PROFILE, SOURCES
 from fieldkit import settings as given
+
+if TYPE_CHECKING:
+    from drivers.inventory import Found
 
 NO_MAP = """none of {count} lines is a reading under any map:
 {maps}
@@ -269,6 +272,8 @@ def devices(
 ) -> None:
     """Say what is plugged in and what it can hear; of a radio that prints, what its lines mean.
 
+    Exit code 1: a port that is asked is absent, or nothing on it answers.
+
     Example: fieldkit devices --watch /dev/ttyUSB0
     """
     import json
@@ -281,7 +286,14 @@ def devices(
     found = [inventory.ask(each, baud) for each in port] if port else inventory.ports()
     if as_json:
         typer.echo(json.dumps(inventory.as_json(found)))
-        return
+    else:
+        _print_found(found)
+    if not all(each.answered for each in found):
+        raise typer.Exit(1)
+
+
+def _print_found(found: "list[Found]") -> None:
+    """A port a line; below it its settings, and what to do."""
     for each in found:
         typer.echo(f"{each.port}: {each.what}")
         if each.settings:

@@ -54,6 +54,8 @@ class Found:
     advice: list[str] = field(default_factory=list)
     settings: dict[str, str] = field(default_factory=dict)
     """AT name to its value in hexadecimal, of an XBee that answered."""
+    answered: bool = True
+    """Whether the port is there, and what is on it was recognised."""
 
 
 def ports() -> list[Found]:
@@ -79,9 +81,9 @@ async def _ask(port: str, baud: int) -> Found:
         async with receiver:
             settings = receiver.settings
     except DeviceTimeout as error:
-        return await _ask_sniffers(port, around) or Found(port, f"not usable: {error}")
+        return await _ask_sniffers(port, around) or _unanswered(port, error)
     except DeviceError as error:
-        return Found(port, f"not usable: {error}")
+        return _unanswered(port, error)
     assert settings is not None
     hears = MESH_HEARS if settings.is_mesh else XBEE_HEARS
     reason = why_it_cannot_hear(settings)
@@ -89,6 +91,10 @@ async def _ask(port: str, baud: int) -> Found:
     values = {"AP": settings.api_mode} | settings.values
     shown = {name: f"{value:X}" for name, value in values.items() if value is not None}
     return Found(port, what, advice(settings), shown)
+
+
+def _unanswered(port: str, error: DeviceError) -> Found:
+    return Found(port, f"not usable: {error}", answered=False)
 
 
 async def _ask_sniffers(port: str, around: DriverContext) -> Found | None:

@@ -4,6 +4,7 @@ import asyncio
 import json
 from types import SimpleNamespace
 
+import pytest
 import typer
 from benches import free_udp_port, rovers_on_udp
 from typer.testing import CliRunner
@@ -33,6 +34,15 @@ async def test_an_xbee_is_told_with_what_it_cannot_hear(plug):
     assert "cannot hear other PANs" in found[0]["what"] and "MM=1" in found[0]["advice"][0]
     assert "not usable" in found[1]["what"] and "AO=2" in found[1]["what"]
     assert found[0]["settings"] == {"AP": "2", "AO": "2", "MM": "0", "MY": "FFFE", "ID": "3332", "CH": "C"}
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+async def test_a_port_that_is_not_there_is_named_and_told_by_the_exit_code(plug, options):
+    good = await plug()
+    result = await asyncio.to_thread(run, cli.devices, "/dev/nowhere", good.wire.port, *options)
+    assert result.exit_code == 1
+    assert "no device at /dev/nowhere" in result.output and good.wire.port in result.output
+    assert (await asyncio.to_thread(run, cli.devices, good.wire.port, *options)).exit_code == 0
 
 
 async def test_a_mesh_module_is_told_with_what_it_cannot_hear(plug):
