@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 from sizes import size
 from typer.testing import CliRunner
 
@@ -163,13 +164,24 @@ def test_no_recording_is_ever_replaced(tmp_path: Path) -> None:
         ("calibrate import PIPE -o new.csv", "expected a CSV of readings, got a pipe"),
         ("calibrate import pipe.html -o new.csv", "expected a report, got a pipe"),
         ("calibrate check PIPE readings.csv", "expected an antenna file, got a pipe"),
+        ("survey readings.csv pipe.csv --antenna antenna.toml", "expected a file of positions, got a pipe"),
+        ("survey pipe.mcap track.csv --antenna antenna.toml", "expected a file of readings, got a pipe"),
+        (
+            "survey bag.mcap track.csv --antenna antenna.toml --topics PIPE",
+            "expected a map of topics, got a pipe",
+        ),
     ],
 )
 def test_a_pipe_that_nobody_writes_into_is_not_waited_for(
     words: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in ("PIPE", "pipe.html"):
+    for name in ("PIPE", "pipe.html", "pipe.csv", "pipe.mcap"):
         os.mkfifo(name)
+    Path("track.csv").write_text("time_s,east_m,north_m\n0,0,0\n1,1,1\n")
+    with Path("bag.mcap").open("wb") as stream:
+        bag = Writer(stream)
+        bag.start(profile="ros2")
+        bag.finish()
     (tmp_path / "antenna.toml").write_text(dump_antenna(AntennaFile(Antenna(2.5, -62.0, 3.0, -90.0))))
     assert expected in said_of(words.split())

@@ -15,6 +15,7 @@ from typing import Any
 from drivers.lines.mapping import LineMap, NoReadingError
 from drivers.positions.tracks import GPS_SIGMA_M, ONLY, Spot, Track, add, renamed
 from fieldkit.errors import ConfigError, DataError
+from fieldkit.files import is_stream
 from fieldkit.messages import RssReading
 
 LOCAL_SIGMA_M = 0.05
@@ -176,6 +177,8 @@ class TopicMap:
 
 def read_topic_maps(path: Path) -> dict[str, TopicMap]:
     """A TOML file with a table for each topic: `["/r1/packets"]`, `rss = "rssi"`. Raises `ConfigError`."""
+    if is_stream(path):
+        raise ConfigError(f"{path}: expected a map of topics, got a pipe or device")
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

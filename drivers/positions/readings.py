@@ -5,6 +5,7 @@ from pathlib import Path
 from drivers.positions.table import number, read_table, timed
 from drivers.positions.tracks import ONLY
 from fieldkit.errors import DataError
+from fieldkit.files import is_stream
 from fieldkit.messages import ReceiverState, RssReading
 
 Heard = RssReading | ReceiverState
@@ -27,6 +28,10 @@ def read_readings(
     Raises `DataError` where it is missing, of an unknown kind, or nothing was heard.
     """
     kinds = {".mcap": _recording, ".pcap": _capture, ".pcapng": _capture}
+    if is_stream(path):
+        raise DataError(
+            f"{path}: expected a file of readings, got a pipe or device; write it into a file first"
+        )
     ending = path.suffix.lower()
     if path.is_dir() or ending == ".mcap":
         from drivers.positions.bags import bag_readings, is_bag, read_topic_maps

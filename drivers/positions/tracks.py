@@ -10,6 +10,7 @@ from typing import Any
 
 from drivers.positions.table import Table, instant_ns, number, read_table, timed
 from fieldkit.errors import DataError
+from fieldkit.files import is_stream
 
 logger = logging.getLogger(__name__)
 
@@ -62,6 +63,10 @@ def read_track(path: Path, robot: str | None = None) -> Track:
         ".bin": _dataflash,
         ".mcap": _mcap,
     }
+    if is_stream(path):
+        raise DataError(
+            f"{path}: expected a file of positions, got a pipe or device; write it into a file first"
+        )
     reader = _mcap if path.is_dir() else kinds.get(path.suffix.lower())
     if reader is None:
         raise DataError(f"{path}: expected one of {', '.join(kinds)}, got '{path.suffix}'")
