@@ -99,7 +99,7 @@ def fit(
     from calibration.logs import Reading, read_log
     from calibration.verdict import judge
     from fieldkit.channel.antenna_file import dump_antenna
-    from fieldkit.console import progress
+    from fieldkit.console import folded, progress
     from fieldkit.files import keep_apart, write_whole
 
     keep_apart(readings, out, plot, report)
@@ -130,7 +130,7 @@ def fit(
     if as_json:
         typer.echo(json.dumps(output.plain(result, judgement, shape)))
     else:
-        typer.echo(output.words(result, judgement, shape))
+        typer.echo(folded(output.words(result, judgement, shape)))
         written = [path for path in (out, plot, report) if path is not None]
         if refused and written and not keep_refused:
             typer.echo("nothing was written")
@@ -160,6 +160,7 @@ def check(
     from calibration import check as checking
     from calibration.logs import Reading, read_log
     from fieldkit.channel.antenna_file import read_antenna
+    from fieldkit.console import folded
 
     file = read_antenna(antenna, allow_refused=True, allow_pattern=True)
     data, notes = read_log(log, Reading(_pairs(column), _pairs(where), place_cell_m, negate, source))
@@ -168,7 +169,7 @@ def check(
     if as_json:
         typer.echo(json.dumps({**asdict(said), "warnings": notes}))
     else:
-        typer.echo("\n".join([*checking.words(said), *(f"  warning: {note}" for note in notes)]))
+        typer.echo(folded("\n".join([*checking.words(said), *(f"  warning: {note}" for note in notes)])))
     if said.state != "holds":
         raise typer.Exit(1)
 

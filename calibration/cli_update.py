@@ -38,6 +38,7 @@ def update(
     from calibration import update as updating
     from calibration.own_readings import own_readings
     from fieldkit.channel.antenna_file import dump_antenna, read_antenna
+    from fieldkit.console import folded
     from fieldkit.errors import ConfigError
     from fieldkit.files import write_whole
 
@@ -61,9 +62,8 @@ def update(
         chance = done.p_chance if done.p_chance == done.p_chance else None
         typer.echo(json.dumps({**said, "p_chance": chance, "out": str(out) if done.file else None}))
     else:
-        typer.echo(
-            "\n".join([*done.lines, note, f"verdict: {done.state}", *(f"  {text}" for text in done.reasons)])
-        )
+        lines = [*done.lines, note, f"verdict: {done.state}", *(f"  {text}" for text in done.reasons)]
+        typer.echo(folded("\n".join(lines)))
         if done.file is not None:
             typer.echo(f"{out}: written")
     if done.file is None:

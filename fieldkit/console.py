@@ -7,7 +7,11 @@ import logging
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from textwrap import wrap
 from typing import Any, TextIO
+
+COLUMNS = 80
+"""Of a terminal that nobody has made wider."""
 
 _quiet = False
 
@@ -21,6 +25,17 @@ def be_quiet(wanted: bool) -> None:
 def is_quiet() -> bool:
     """Whether only trouble is said."""
     return _quiet
+
+
+def folded(text: str) -> str:
+    """Lines that are longer than a narrow terminal's, at their spaces; what follows stands further in."""
+    lines = []
+    for line in text.splitlines():
+        further = " " * (len(line) - len(line.lstrip()) + 2)
+        lines += wrap(
+            line, COLUMNS, subsequent_indent=further, break_long_words=False, break_on_hyphens=False
+        ) or [""]
+    return "\n".join(lines)
 
 
 class StderrHandler(logging.StreamHandler[TextIO]):

@@ -33,6 +33,24 @@ def test_fit_writes_an_antenna_file_that_missions_read(tmp_path):
     assert not fetched, "names of XML vocabularies are no addresses that are asked"
 
 
+@pytest.mark.parametrize(
+    ("command", "phrase"),
+    [
+        (["fit", str(EXAMPLE)], "place to place (more readings at one place do not reduce it)"),
+        (["check", "antenna.toml", "stronger.csv"], "check battery, antenna and power setting, or calibrate"),
+    ],
+)
+def test_what_is_said_fits_in_80_columns_and_loses_no_word(command, phrase, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    runner.invoke(app, ["fit", str(EXAMPLE), "-o", "antenna.toml"])
+    head, *rows = EXAMPLE.read_text().splitlines()
+    stronger = [re.sub(r"-\d+$", lambda rss: str(int(rss[0]) + 9), row) for row in rows]
+    Path("stronger.csv").write_text("\n".join([head, *stronger]))
+    said = runner.invoke(app, command).output
+    assert max(map(len, said.splitlines())) <= 80
+    assert phrase in " ".join(said.split())
+
+
 def test_a_refused_calibration_exits_with_2_and_leaves_no_file(tmp_path):
     text = "distance_m,rss_dbm\n" + "".join(f"{d / 10},{-50 - d % 4}\n" for d in range(20, 30)) * 5
     (tmp_path / "r.csv").write_text(text)
