@@ -146,6 +146,12 @@ class IntensityTuning(_Table):
     max_squared_residual: float = tuned(
         2.5, 1.0, 100.0, "", "mean squared standardised residual that says: inconsistent with the model", HAND
     )
+    residuals_trusted: int = tuned(
+        50, 0, 100_000, "", "residuals as the antenna file says that a mission begins with", HAND
+    )
+    wider_said: float = tuned(
+        1.4, 1.0, 100.0, "", "mean squared standardised residual from which the operator is told of it", HAND
+    )
     judged_on: int = tuned(25, 3, 1_000, "", "last detections of which residuals are looked at", HAND)
     first_look: float = tuned(
         5.0, 2.0, 100.0, "", "receptions at which a candidate's hypothesis is first re-estimated", HAND

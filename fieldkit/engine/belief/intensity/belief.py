@@ -34,6 +34,7 @@ class IntensityBelief:
         self.mixture = Mixture(settings)
         self.model = self.mixture.model
         self._silent: set[int] = set()
+        self._wider_said = False
         self._misfits: dict[int, tuple[list[Detection], tuple[float, ...], tuple[float, int]]] = {}
         """Of a candidate: what it was last judged by, and how that came out."""
 
@@ -87,6 +88,13 @@ class IntensityBelief:
     def _judge(self) -> None:
         """Candidate, found or inconsistent; a find that later evidence takes back says why."""
         threshold = self.settings.found_probability
+        self.mixture.widen(wider := self._wider())
+        if wider >= self._tuning.wider_said and not self._wider_said:
+            self._wider_said = True
+            self.mixture.said.append(
+                f"readings scatter {np.sqrt(wider):.1f} times as wide as the antenna file's sigma of "
+                f"{self.settings.antenna.sigma_db:.1f} dB: positions are claimed less sharp by as much"
+            )
         for candidate in self.candidates:
             summary = self.mixture.summary(candidate)
             enough = candidate.receptions >= self.settings.min_receptions - 0.1
@@ -111,6 +119,20 @@ class IntensityBelief:
             doubt = self._doubt(candidate, summary)
             candidate.state = "inconsistent" if doubt else "found"
             candidate.note = doubt or self._may_be_two(candidate)
+
+    def _wider(self) -> float:
+        """By how much squared residuals are larger than they should be, over all candidates; no less than 1.
+
+        Receivers and transmitters of a field have antennas that no file has: what they do to all is learnt from all.
+        """
+        known = [
+            self._misfit(candidate)
+            for candidate in self.candidates
+            if candidate.receptions >= self.settings.min_receptions - 0.1
+        ]
+        count = self._tuning.residuals_trusted + sum(number for _, number in known)
+        squares = self._tuning.residuals_trusted + sum(misfit * number for misfit, number in known)
+        return max(1.0, squares / count)
 
     def _may_be_two(self, candidate: Candidate) -> str:
         """What to know of a find that is as well explained as two sources; empty for others."""
@@ -223,7 +245,7 @@ class IntensityBelief:
 
     def _spread_out(self, candidate: Candidate) -> tuple[FloatArray, FloatArray]:
         """Its points (n, 2) and the posterior of each; one that stands for several cells has a part in each of them."""
-        place = np.asarray(candidate.posterior().sum(axis=0))
+        place = np.asarray(candidate.claimed_posterior().sum(axis=0))
         parts = round(candidate.spacing_m / self.grid.cell_m)
         if parts < 2:
             return candidate.points_m, place
@@ -347,7 +369,7 @@ class IntensityBelief:
             )
             if is_settled and p_gone == 0.0:
                 continue
-            posterior = candidate.posterior()
+            posterior = candidate.claimed_posterior()
             picks = rng.choice(posterior.size, size=samples, p=posterior.ravel() / posterior.sum())
             hypothesis, point = np.divmod(picks, posterior.shape[1])
             level = np.where(hypothesis < self.model.power_db.size, hypothesis, self.model.n_known // 2)

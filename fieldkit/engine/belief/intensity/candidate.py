@@ -91,6 +91,9 @@ class Candidate:
     """Detection number to how long it had been listened to when that came, in seconds; of those it may have sent."""
     certain_since: float | None = None
     """Receptions when its place first became certain enough, since it last was not."""
+    wider: float = 1.0
+    """By how much the squares of readings' residuals are larger than the antenna file says: what is claimed is so much
+    less sharp (quasi-likelihood; McCullagh and Nelder, Generalized Linear Models, 9.2)."""
     two_source: TwoSource | None = None
     name: str = ""
     """The address it sends under, where sources are distinguished by it."""
@@ -133,8 +136,15 @@ class Candidate:
 
     def posterior(self) -> FloatArray:
         """(h, n), sums to 1."""
+        return self._normalised(1.0)
+
+    def claimed_posterior(self) -> FloatArray:
+        """(h, n), sums to 1: what may be claimed of it, where readings scatter wider than the antenna file says."""
+        return self._normalised(self.wider)
+
+    def _normalised(self, wider: float) -> FloatArray:
         log = self.log_posterior()
-        weights = np.exp(log - log.max())
+        weights = np.exp((log - log.max()) / wider)
         return np.asarray(weights / weights.sum())
 
     def log_evidence(self) -> float:

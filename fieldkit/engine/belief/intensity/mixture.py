@@ -387,7 +387,7 @@ class Mixture:
         if candidate.ident not in self._summaries:
             self._summaries[candidate.ident] = summarise(
                 candidate,
-                candidate.posterior(),
+                candidate.claimed_posterior(),
                 self.model.power_db,
                 self.model.outside,
                 self.field.cell_m,
@@ -398,6 +398,13 @@ class Mixture:
                 shared_sigma_m(self, candidate),
             )
         return self._summaries[candidate.ident]
+
+    def widen(self, wider: float) -> None:
+        """Claim less of all candidates where squared residuals are `wider` than the antenna file says."""
+        for candidate in self.candidates:
+            if candidate.wider != wider:
+                candidate.wider = wider
+                self._summaries.pop(candidate.ident, None)
 
     def another_source(self, rate_hz: float | None = None) -> FloatArray:
         """(known levels, n_north, n_east) expected number of sources of this rate not among the candidates.

@@ -109,13 +109,16 @@ class Watch:
                 new = Measured(float(rss - expected), float(sd), float(at[0]), float(at[1]), sender.ident)
                 its.measured = [*its.measured, new][-LAST:]
 
-    def judge(self, spread: ChannelSpread) -> list[str]:
-        """What is new to say of receivers; offsets and insensitivity are brought up to date."""
+    def judge(self, spread: ChannelSpread, robots: int) -> list[str]:
+        """What is new to say of this many receivers; offsets and insensitivity are brought up to date.
+
+        Of three receivers one is compared with two: of two that differ nobody can say which is off.
+        """
         said = []
         means = {robot: mean_of(its.measured, spread) for robot, its in self.of.items()}
         for robot, its in self.of.items():
             said += self._judge_sensitivity(robot, its)
-            said += self._judge_offset(robot, its, means)
+            said += self._judge_offset(robot, its, means, min(2, robots - 1))
         return said
 
     def _judge_sensitivity(self, robot: str, its: Heard) -> list[str]:
@@ -134,10 +137,10 @@ class Watch:
             return [f"{robot}: hears again ({heard} of {count} packets); its silence counts"]
         return []
 
-    def _judge_offset(self, robot: str, its: Heard, means: "dict[str, Mean]") -> list[str]:
+    def _judge_offset(self, robot: str, its: Heard, means: "dict[str, Mean]", least: int) -> list[str]:
         others = [mean for name, mean in means.items() if name != robot and mean.is_enough]
         its_mean, count = means[robot], len(its.measured)
-        if not its_mean.is_enough or not others:
+        if not its_mean.is_enough or not others or len(others) < least:
             return []
         more_db = its_mean.mean_db - float(np.median([each.mean_db for each in others]))
         error_db = np.sqrt(its_mean.variance_db2 + sum(o.variance_db2 for o in others) / len(others) ** 2)
@@ -228,7 +231,10 @@ def watch_receivers(mixture: "Mixture", detections: Sequence[Detection]) -> None
                 mixture.watch.take_in(mixture, mixture.ears.corrected(detection), candidate)
     spread = mixture.settings.spread or assumed(mixture.settings.antenna)
     before = {robot: its.offset_db for robot, its in mixture.watch.of.items()}
-    mixture.said += [*mixture.watch.judge(spread), *mixture.watch.common(mixture)]
+    mixture.said += [
+        *mixture.watch.judge(spread, len(mixture.settings.robots)),
+        *mixture.watch.common(mixture),
+    ]
     learnt = {robot: its.offset_db for robot, its in mixture.watch.of.items() if its.offset_db != 0.0}
     if learnt and learnt != {robot: offset for robot, offset in before.items() if offset != 0.0}:
         _correct(mixture, learnt)
