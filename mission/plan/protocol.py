@@ -133,6 +133,8 @@ class Port(TypedDict):
     what: str
     advice: list[str]
     settings: dict[str, str]
+    answered: bool
+    """Whether the port is there, and what is on it was recognised."""
 
 
 class HeardVehicle(TypedDict):

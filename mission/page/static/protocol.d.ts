@@ -320,6 +320,8 @@ export interface Port {
   what: string;
   advice: string[];
   settings: { [key: string]: string };
+  /** Whether the port is there, and what is on it was recognised. */
+  answered: boolean;
 }
 
 /** The answer of /plan/preflight. */
