@@ -2,6 +2,7 @@
 
 import contextlib
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from fieldkit.messages import Event, Tick
@@ -28,6 +29,8 @@ class LiveShow:
         self.page: Page | None = None
         self.disk: DiskWords | None = None
         """What is said of the recording."""
+        self.is_over: Callable[[], bool] = lambda: False
+        """Whether nobody is steered any more."""
         self._mailboxes: list[Mailbox] = []
         self._newcomers: deque[Mailbox] = deque()
         self._shown_ns = -FRAME_NS
@@ -85,6 +88,7 @@ class LiveShow:
             **self.view.frame(),
             "viewers": self.page.clients,
             "commanders": self.page.commanders,
+            "over": self.is_over(),
         }
         if self.disk is not None:
             present["recording"] = self.disk.now()

@@ -168,8 +168,10 @@ class Frame(TypedDict):
     alarms: list[str]
     """What the operator must know at once."""
     viewers: NotRequired[int]
-    """Live only, as the next two."""
+    """Live only, as the next three."""
     commanders: NotRequired[int]
+    over: NotRequired[bool]
+    """Whether nobody is steered any more. Robots that fly still go home and land when the mission has ended."""
     recording: NotRequired[str]
     """How large it is, and how much room is left."""
 

@@ -40,6 +40,7 @@ class LivePage:
         """Commands go to this runner, in the event loop that runs now."""
         self._runner, self._loop = runner, asyncio.get_running_loop()
         self.follower.disk = DiskWords(runner.recorder.path)
+        self.follower.is_over = lambda: bool(runner.end_reason)
 
     def _answers(self) -> dict[str, tuple[str, str]]:
         return {} if self._runner is None else self._runner.dispatcher.answers

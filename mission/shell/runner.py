@@ -422,7 +422,7 @@ class Runner:
 
     async def _finish(self, t_ns: int) -> None:
         self.records.end(self._stepped, t_ns)
-        self._show(t_ns, NOTHING)  # with the last look at the belief, as the page has it
+        self._show_now()  # with the last look at the belief, and that nobody is steered any more
         self.recorder.result(self._stepped, t_ns, self.result())
 
     def result(self) -> dict[str, Any]:

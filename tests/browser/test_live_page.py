@@ -122,6 +122,26 @@ def test_the_mission_is_ended(tab: Any, flown: Flown) -> None:
     button.click()
     wait_until(lambda: flown.runner.end_reason)
     assert flown.asked("end") and flown.runner.end_reason == "operator, on the page"
+    tab.wait_for_selector("#state >> text=ended")
+    for pressed in ("#hold-all", "#commands button", ".card .act"):
+        wait_until(lambda pressed=pressed: tab.locator(f"{pressed}:enabled").count() == 0)  # type: ignore[misc]
+    assert tab.locator(".card .act:disabled").count() == 16
+
+
+def test_robots_on_their_way_home_can_be_held_after_the_end(tab: Any, flown: Flown) -> None:
+    """Those that fly land before anybody stops steering."""
+    landing = flown.runner._landing
+    landing.is_over = lambda *_: (False, ["r2"])  # type: ignore[method-assign]
+    button = tab.locator("[data-all=end]")
+    button.click()
+    button.click()
+    tab.wait_for_selector("#state >> text=ended")
+    tab.wait_for_selector("[data-all=end]:disabled")
+    tab.locator(".card[data-robot=r2]").get_by_text("Hold", exact=True).click()
+    wait_until(lambda: flown.asked("hold", "r2"))
+    tab.locator("#hold-all:enabled").dispatch_event("pointerdown")
+    wait_until(lambda: flown.asked("hold") and modes(flown) == {"hold"})
+    del landing.is_over
 
 
 def test_belief_robots_and_sources_are_drawn(tab: Any, flown: Flown) -> None:

@@ -1,7 +1,7 @@
 // @ts-check
 // What the operator can do. HOLD ALL asks nothing; what is hard to undo is asked twice, on the same button.
 import { $, buttons } from "./dom.js";
-import { model } from "./model.js";
+import { mayChange, maySteer, model } from "./model.js";
 import { ask, command } from "./socket.js";
 import { area } from "./map.js";
 
@@ -104,6 +104,6 @@ export function showRights() {
   $("commands").hidden = !live;
   $("player").hidden = live || !model.hello;
   holdButton.hidden = !live;
-  for (const button of buttons("#commands button")) button.disabled = !model.mayCommand;
-  holdButton.disabled = !model.mayCommand;
+  for (const button of buttons("#commands button")) button.disabled = !mayChange();
+  holdButton.disabled = !maySteer();
 }

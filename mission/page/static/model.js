@@ -30,6 +30,10 @@ export const model = {
   mayCommand: false, connected: false, heardAt: 0, version: { side: 0, grids: 0 },
 };
 
+/** Of robots: those that fly are still on their way home when the mission has ended. */
+export const maySteer = () => model.mayCommand && !model.frame?.over;
+export const mayChange = () => model.mayCommand && !model.frame?.end;
+
 export const shownFrame = () => model.past?.frame ?? model.frame;
 /** @type {(name: string) => Cells | undefined} */
 export const shownGrid = (name) => (model.past ?? model).grids[name];

@@ -1,9 +1,9 @@
 // @ts-check
 // Robots, sources, signals and events in words. Cards are made once and then only filled anew, so that a press on a
 // button never falls between two of them.
-import { colourOf, isOld, model } from "./model.js";
-import { press } from "./commands.js";
-import { $, buttons, element, find } from "./dom.js";
+import { colourOf, isOld, mayChange, maySteer, model } from "./model.js";
+import { press, showRights } from "./commands.js";
+import { $, element, find } from "./dom.js";
 import { follow, lookAt } from "./mapview.js";
 import { showWhere } from "./where.js";
 import { STATES, sureness } from "./words.js";
@@ -117,7 +117,7 @@ function fillCard(part, robot) {
   const words = [robot.command && `${robot.command}${colon} ${robot.why}`, answer].filter(Boolean).join(" ");
   set(part.last, [words, robot.text].filter(Boolean).join("  ·  "));
   part.acts.hidden = !model.hello?.live;
-  for (const button of part.buttons) button.disabled = !model.mayCommand;
+  for (const button of part.buttons) button.disabled = !maySteer();
 }
 /** @param {number | null} seconds */
 const age = (seconds) => (seconds === null ? "–" : seconds < 1 ? "now" : seconds < 100 ? `${seconds.toFixed(seconds < 10 ? 1 : 0)} s ago` : `${clock(seconds)} ago`);
@@ -200,7 +200,7 @@ function sources(frame) {
     const spread = source.state === "outside" || source.state === "removed" ? "" : sureness(source);
     set(part.more, [STATES[source.state], spread, `heard ${source.receptions.toFixed(0)}×`, source.note].filter(Boolean).join(" · "));
     part.acts.hidden = !model.hello?.live || source.state === "removed" || source.state === "candidate";
-    part.button.disabled = !model.mayCommand;
+    part.button.disabled = !mayChange();
   });
   const empty = box.querySelector(".empty");
   if (!shown.length && !empty) box.append(element("p", { className: "empty", textContent: "Nothing heard enough yet." }));
@@ -250,5 +250,5 @@ export function fill() {
   set($("left"), `${Math.round(100 * frame.left)} %`);
   set($("recording"), frame.recording ?? "", (frame.recording ?? "").startsWith("recording") ? "" : "bad");
   set($("viewers"), (frame.viewers ?? 0) > 1 ? `${frame.viewers} look, ${frame.commanders} may command` : "");
-  for (const button of buttons("#hold-all, #commands button")) button.disabled = !model.mayCommand || Boolean(frame.end);
+  showRights();
 }

@@ -144,9 +144,11 @@ export interface Frame {
   marks: MarkedPlace[];
   /** What the operator must know at once. */
   alarms: string[];
-  /** Live only, as the next two. */
+  /** Live only, as the next three. */
   viewers?: number;
   commanders?: number;
+  /** Whether nobody is steered any more. Robots that fly still go home and land when the mission has ended. */
+  over?: boolean;
   /** How large it is, and how much room is left. */
   recording?: string;
 }

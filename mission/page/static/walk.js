@@ -1,6 +1,6 @@
 // @ts-check
 // For people who carry a radio: where to go next, how strong it is now, and a tone for ears that need no screen.
-import { isOld, model, placeOf } from "./model.js";
+import { isOld, mayChange, model, placeOf } from "./model.js";
 import { press, notice } from "./commands.js";
 import { $, element, find } from "./dom.js";
 import { radioDown } from "./panels.js";
@@ -144,7 +144,7 @@ export function walk() {
   const words = silent ? "" : trend(levels);
   set("walk-trend", words || "–");
   $("walk-trend").className = words;
-  markButton.disabled = !model.mayCommand || !here;
+  markButton.disabled = !mayChange() || !here;
   markButton.hidden = !model.hello?.live;
 }
 
