@@ -13,8 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from fieldkit.clock import RealClock
-from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second, read_card, refusal
+from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second, read_card
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.errors import ConfigError, RecordingError
 from fieldkit.messages import Command, EndMission, Event, Operator, Pose, ReceiverState, Tick, VehicleState
@@ -27,6 +26,7 @@ from mission.safety.apart import SafetyApart
 from mission.safety.rules import Safety
 from mission.shell.chronicle import Chronicle
 from mission.shell.journal import Journal
+from mission.shell.others import Refused, TeamClock
 from mission.shell.runner import Runner
 
 logger = logging.getLogger(__name__)
@@ -65,18 +65,12 @@ class AgentRunner(Runner):
         self._own = Fleet(self.mission.kernel)
         self._foreign: list[Operator] = []
         """Orders of others that are in the inbox."""
-        self._refused: set[str] = set()
-        """Agents that were said not to belong here."""
-        self._out_of_time: set[str] = set()
-        """Agents that were said to have another time."""
+        self._others = Refused()
         self._present: set[str] = set()
         self._ages_s: dict[str, float] = {}
         """How old what was known of each other robot was at the last tick."""
         self._card_s = -math.inf
-        self._clock_off = ""
-        """What was last said of this computer's clock."""
-        self.strangers = 0
-        """Cards that were signed with another key."""
+        self._clock = TeamClock(self.setup.clock, self.crew.agent.talk)
         super().__post_init__()
 
     @property
@@ -157,23 +151,16 @@ class AgentRunner(Runner):
         """Another agent says who it is. Raises `ConfigError` where it has our robot already."""
         mine = self.crew.card
         if card is None:
-            self.strangers += 1
+            self._others.strangers += 1
             return
-        if reason := clock_refusal(card, now_ns):
-            if card.instance not in self._out_of_time:
-                self._out_of_time.add(card.instance)
-                self._say(reason)
-            return
-        if is_second(mine, card):
+        if not clock_refusal(card, now_ns) and is_second(mine, card):
             raise ConfigError(
                 f"{mine.robot} has an agent already, on {card.host}: end that one first; nothing was moved by this one"
             )
-        reason = refusal(mine, card)
-        if not reason and card.robot == mine.robot and card.instance != mine.instance:
-            reason = f"a second agent for {mine.robot}, on {card.host}, has to end"
-        if reason and card.instance not in self._refused:
-            self._refused.add(card.instance)
-            self._say(reason)
+        is_twin = card.robot == mine.robot and card.instance != mine.instance
+        twin = f"a second agent for {mine.robot}, on {card.host}, has to end" if is_twin else ""
+        if said := self._others.news(mine, card, now_ns, twin):
+            self._say(said)
 
     # -- what goes out -------------------------------------------------------------------------------------
 
@@ -200,7 +187,8 @@ class AgentRunner(Runner):
 
     def _speak(self) -> None:
         """What is new goes to the journal, and then to the others."""
-        self._mind_clock()
+        if said := self._clock.follow():
+            self._say(said)
         crew, now_ns = self.crew, self.setup.clock.now_ns()
         crew.journal.write(crew.agent.logs)
         for message in crew.agent.messages(now_ns, self._apart.way, dict(self._apart.ways)):
@@ -216,22 +204,6 @@ class AgentRunner(Runner):
                 f"the others know more of {self.me} than its own journal, so its log cannot be gone on with: start its "
                 "agent anew while others are in reach, and it gets its log back from them"
             )
-
-    def _mind_clock(self) -> None:
-        """Go by the clock of the first robot in reach: by another's, nobody's positions are as old as they seem."""
-        clock, talk = self.setup.clock, self.crew.agent.talk
-        if (off := talk.clock_off(clock.now_ns())) is None:
-            self._clock_off = ""
-            return
-        first, ahead_s = off
-        apart = f"this computer's clock is {abs(ahead_s):.2f} s {'ahead of' if ahead_s > 0 else 'behind'} {first}'s"
-        if isinstance(clock, RealClock):
-            clock.set_back(ahead_s)
-            talk.clock_set_back(clock.now_ns(), ahead_s)
-            self._say(f"{apart}: that is taken off for this mission; set the clocks (chrony, GNSS)")
-        elif not self._clock_off:
-            self._say(f"{apart}: set the clocks")
-        self._clock_off = apart
 
     def _mind_contact(self) -> None:
         """Say who has gone out of contact, and who has come back."""
@@ -290,6 +262,7 @@ class AgentRunner(Runner):
             "common_tick": agent.common.horizon,
             "bytes_sent": dict(talk.sent),
             "bytes_heard": talk.heard_bytes,
-            "dropped": dict(talk.seal.dropped) | {"strangers": self.strangers, "unreadable": talk.refused},
+            "dropped": dict(talk.seal.dropped)
+            | {"strangers": self._others.strangers, "unreadable": talk.refused},
             "age_s": ages,
         }
