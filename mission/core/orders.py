@@ -1,0 +1,116 @@
+"""Operators' orders, as far as they are known here: what is to be handed on, and who has shown that it obeys. Pure."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+from fieldkit.engine.decentralised.entries import STEP_NS
+from fieldkit.engine.decentralised.packing import quantised
+from fieldkit.engine.decentralised.talk import code_of
+from fieldkit.messages import Operator, VehicleState
+
+STEERING = ("hold", "resume", "return", "release", "withdraw")
+"""The last one of these is what a robot is to do."""
+
+
+@dataclass
+class Orders:
+    """Orders of all operators. They come in `quantised` form, so that one that comes twice is the same."""
+
+    robots: tuple[str, ...]
+    waiting: list[Operator] = field(default_factory=list)
+    """Those that stand in no robot's log that is known here, the oldest first: to be said on."""
+    void: list[Operator] = field(default_factory=list)
+    """Those that waited until a later one took their place: to be said no more. Emptied by whoever reads it."""
+    _known: set[Operator] = field(default_factory=set)
+    _last: dict[str, Operator] = field(default_factory=dict)
+    """Robot to the last order of `STEERING` that means it."""
+    _shown: set[str] = field(default_factory=set)
+    """Robots that have shown that they have got that one."""
+    _vehicles: dict[str, VehicleState] = field(default_factory=dict)
+    _latest_ns: int = 0
+
+    def give(self, order: Operator) -> Operator:
+        """An order of this computer's operator, as it is to be said.
+
+        It is later than all that are known here, whatever this computer's clock says: of hold and resume the later one
+        counts.
+        """
+        given = quantised(replace(order, t_ns=max(order.t_ns, self._latest_ns + STEP_NS)))
+        assert isinstance(given, Operator)
+        self.hand_on(given)
+        return given
+
+    def hand_on(self, order: Operator) -> bool:
+        """An order of a computer that has no log; whether it is news. It is said on until it stands in one."""
+        if not self.learn(order):
+            return False
+        meant = set(self._meant(order))
+        if order.action in STEERING:
+            # Said later, it would hold a robot that the new one has let go.
+            late = [
+                each
+                for each in self.waiting
+                if each.action in STEERING and meant.issuperset(self._meant(each)) and each.t_ns <= order.t_ns
+            ]
+            self.waiting = [each for each in self.waiting if each not in late]
+            self.void += late
+        self.waiting.append(order)
+        return True
+
+    def learn(self, order: Operator) -> bool:
+        """An order that a robot's agent has; whether it is news."""
+        if order in self._known:
+            return False
+        self._known.add(order)
+        self._latest_ns = max(self._latest_ns, order.t_ns)
+        if order.action in STEERING:
+            for robot in self._meant(order):
+                if robot not in self._last or order.t_ns >= self._last[robot].t_ns:
+                    self._last[robot] = order
+                    self._shown.discard(robot)
+        return True
+
+    def read(self, order: Operator, robot: str) -> bool:
+        """An order that stands in a robot's log: it obeys, and others learn of it there. Whether it is news."""
+        news = self.learn(order)
+        self.waiting = [each for each in self.waiting if each != order]
+        if self._last.get(robot) == order:
+            self._shown.add(robot)
+        return news
+
+    def see(self, state: VehicleState) -> None:
+        """A vehicle's state, from its robot's log: of one out of reach there is no other word."""
+        before = self._vehicles.get(state.robot)
+        if before is None or state.t_ns >= before.t_ns:
+            self._vehicles[state.robot] = state
+
+    def obeyed(self, robot: str, code: int) -> None:
+        """A robot's agent says which order it has obeyed last (`code_of`)."""
+        if (last := self._last.get(robot)) is not None and code == code_of(last):
+            self._shown.add(robot)
+
+    def withdrawn_ns(self) -> int | None:
+        """When the last of all robots was taken out of the mission; None where one is still in it."""
+        if any(robot not in self._last or self._last[robot].action != "withdraw" for robot in self.robots):
+            return None
+        return max(order.t_ns for order in self._last.values())
+
+    def standing(self) -> dict[str, tuple[Operator, bool]]:
+        """Robot to the order that stands for it, and whether it has shown that it has got it."""
+        return {robot: (order, self._has_shown(robot, order)) for robot, order in self._last.items()}
+
+    def unheld(self) -> dict[str, Operator]:
+        """Robots that are to hold and have not shown it, and by which order."""
+        return {
+            robot: order
+            for robot, (order, shown) in self.standing().items()
+            if order.action == "hold" and not shown
+        }
+
+    def _has_shown(self, robot: str, order: Operator) -> bool:
+        vehicle = self._vehicles.get(robot)
+        stands = vehicle is not None and vehicle.mode == "hold" and vehicle.t_ns > order.t_ns
+        return robot in self._shown or (order.action == "hold" and stands)
+
+    def _meant(self, order: Operator) -> Iterator[str]:
+        return (robot for robot in self.robots if order.robot in (None, robot))
