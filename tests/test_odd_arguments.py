@@ -61,6 +61,7 @@ REFUSED = (
     "check", "check a b", "check --nonsense mission.toml", "new mission.toml", "log", "log nonsense",
     "calibrate fit", "--nonsense", "agent nowhere.toml --robot r1", "agent mission.toml",
     "agent mission.toml --robot nobody", "agent mission.toml --robot r1", "agent mission.toml --hold",
+    "agent mission.toml --watch", "agent mission.toml --watch --robot r1", "agent mission.toml --watch --hold",
     "agent mission.toml --robot r1 --key readings.csv", "agent mission.toml --robot r1 --bytes-s x",
     "agent mission.toml --new-key --key readings.csv", "collect", "collect new.mcap", "collect new.mcap nowhere",
     "collect new.mcap runs readings.csv run.mcap", "collect run.mcap runs",

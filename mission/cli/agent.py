@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +19,11 @@ from mission.cli.options import (
     say,
     shown_page,
 )
+
+if TYPE_CHECKING:
+    from fieldkit.clock import Clock
+    from fieldkit.ports import Network
+    from mission.core.mission_file import Mission
 
 KEY_FILE = "mission.key"
 HOLD_S = 15.0
@@ -41,6 +46,13 @@ def agent(
         bool,
         typer.Option(
             "--hold", help="From a computer without a robot: HOLD ALL in reach, say who does, and end."
+        ),
+    ] = False,
+    watch: Annotated[
+        bool,
+        typer.Option(
+            "--watch",
+            help="From a computer without a robot: all that robots know on a page, and a hand on all.",
         ),
     ] = False,
     connect: Annotated[
@@ -89,14 +101,14 @@ def agent(
 
     Example: fieldkit agent mission.toml --robot r2 --page --page-host 0.0.0.0
 
+    Example: fieldkit agent mission.toml --watch
+
     Example: fieldkit agent mission.toml --hold
     """
     import asyncio
 
     from fieldkit import plugins
     from fieldkit.clock import RealClock
-    from fieldkit.errors import ConfigError
-    from fieldkit.files import write_whole
     from fieldkit.ports import DriverContext
     from mission.cli.missions import print_flown
     from mission.core.mission_file import read_mission
@@ -113,13 +125,15 @@ def agent(
     mission = read_mission(mission_file)
     clock = RealClock()
     robots = mission.kernel.engine.robots
-    if not robot and not hold:
-        raise ConfigError(f"--robot: which robot's computer is this? There are {', '.join(robots)}")
-    card = card_of(mission, robots[0] if hold else robot, clock)
+    _check_whose(robot, robots, hold or watch, both=hold and watch)
+    card = card_of(mission, robot or robots[0], clock)
     secret = _secret(key_file, mission_file)
     wires = {"listen": listen or [], "connect": connect or [], "scouting": scouting}
     topic = _topic(secret)
     network = plugins.load("fieldkit.networks", "zenoh")(topic, wires, DriverContext(clock, mission.frame))
+    if watch:
+        _watch(mission, network, clock, secret, out, bytes_s, page_host, page_port, as_json=as_json)
+        return
     if hold:
         said = asyncio.run(hold_all(robots, network, card, secret, clock, HOLD_S))
         _print_held(said, as_json=as_json)
@@ -135,21 +149,89 @@ def agent(
         say(
             "engine.planner is dprwa: robots out of contact will not meet as planned; 'dprwa-apart' keeps meetings"
         )
-    folder = run_folder(out)
-    write_whole(folder / "mission.toml", mission.text)
-    write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
+    folder = _folder(out, mission)
     if resumed is not None:
         say(f"goes on with what {robot} knew: {resumed}", always=True)
     say(f"{robot} records to {folder}; looks for others {network.where}")
     with before_the_start():
         with (
             shown_page(mission, page, page_host, page_port) as shown,
-            Watch(quiet=as_json and not sys.stderr.isatty()) as watch,
+            Watch(quiet=as_json and not sys.stderr.isatty()) as terminal,
         ):
-            runner = fly_agent(mission, setup, network, card, options, folder, watch.show, shown)
+            runner = fly_agent(mission, setup, network, card, options, folder, terminal.show, shown)
         say(f"written: {folder}/{{mission.mcap, common.mcap}}; 'fieldkit report' makes a page of either")
         # A robot's computer has better to do than to draw.
         print_flown(runner, folder, as_json=as_json, report=False)
+
+
+def _check_whose(robot: str, robots: tuple[str, ...], none: bool, *, both: bool) -> None:
+    """Raises `ConfigError` unless it is said once whose computer this is. `none`: it has no robot."""
+    from fieldkit.errors import ConfigError
+
+    if bool(robot) == none or both:
+        raise ConfigError(
+            f"--robot: which robot's computer is this? There are {', '.join(robots)}; on a computer without one "
+            "either --watch or --hold"
+        )
+
+
+def _folder(out: Path, mission: "Mission") -> Path:
+    """A folder for this run, with the two files that it is flown with."""
+    from fieldkit.files import write_whole
+
+    folder = run_folder(out)
+    write_whole(folder / "mission.toml", mission.text)
+    write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
+    return folder
+
+
+def _watch(
+    mission: "Mission",
+    network: "Network",
+    clock: "Clock",
+    secret: bytes,
+    out: Path,
+    bytes_s: float,
+    host: str,
+    port: int,
+    *,
+    as_json: bool,
+) -> None:
+    """The page of a computer without a robot; exit code 4 where somebody is to hold and has not shown it."""
+    from mission.replay.command import plain_source
+    from mission.shell.terminal import Watch, sources_table
+    from mission.shell.warm_up import warm_up
+    from mission.shell.watch_flight import watch_team
+
+    may_be_shown(True, host, port)
+    say("preparing the engine (compiled once on a new machine, up to a minute) ...")
+    with before_the_start():
+        warm_up(mission)
+    folder = _folder(out, mission)
+    say(f"records to {folder}; looks for robots {network.where}")
+    with (
+        before_the_start(),
+        shown_page(mission, True, host, port) as shown,
+        Watch(quiet=as_json and not sys.stderr.isatty()) as terminal,
+    ):
+        watched = watch_team(
+            mission, network, clock, secret, folder, bytes_s=bytes_s, on_progress=terminal.show, page=shown
+        )
+    result, finds = watched.result(), [plain_source(source) for source in watched.kernel.sources()]
+    if as_json:
+        print_json(result | {"sources": finds, "recording": str(folder / "common.mcap")})
+    else:
+        typer.echo(f"ended: {watched.end_reason}; the robots' agents go on")
+        sources_table(finds, watched.kernel.detections)
+    say(f"written: {folder}/{{observations.log, common.mcap}}; 'fieldkit collect' takes the folder in")
+    if result["not_handed_on"]:
+        say(f"NOBODY HAS GOT: {', '.join(result['not_handed_on'])}", always=True)
+    if others := result["not_shown_to_hold"]:
+        say(
+            f"NOT CONFIRMED to hold: {', '.join(others)}: stop by hand, or nearer to them once more",
+            always=True,
+        )
+        raise typer.Exit(UNCONFIRMED_EXIT)
 
 
 def _print_held(said: dict[str, str], *, as_json: bool) -> None:

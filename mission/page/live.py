@@ -74,6 +74,15 @@ class LiveShow:
             self._shown_ns = log_time_ns
             self.publish()
 
+    def waits(self, now_ns: int) -> None:
+        """Nothing has begun yet that could be shown; what is known is, with its age."""
+        self.view.until(now_ns)
+        self.publish()
+
+    def begin(self, start_ns: int) -> None:
+        """Time counts from then on. Needed where the mission has been under way for a while."""
+        self.view.begin(start_ns)
+
     def publish(self) -> None:
         """Hand over what is new; nothing is made where nobody looks."""
         news = self.view.news()

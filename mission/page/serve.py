@@ -1,13 +1,15 @@
 """The page beside a mission, and over a recording."""
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 from fieldkit import settings as given
 from fieldkit.messages import Operator
 from fieldkit.recording.reader import Recording
+from fieldkit.recording.writer import RecordingWriter
+from mission.core.kernel import Kernel
 from mission.core.mission_file import Mission
 from mission.maps.background import background_or_none
 from mission.page.answers import Answers, Report
@@ -16,17 +18,48 @@ from mission.page.live import LiveShow
 from mission.page.past import PastShow
 from mission.page.server import Page
 from mission.page.view import View
-from mission.shell.runner import Runner
+from mission.safety.rules import Safety
+from mission.shell.keyboard import Commanded
 
 ON_THE_PAGE = "operator, on the page"
 """Why something is done that was pressed there."""
+
+
+class Answering(Protocol):
+    """What knows the answers to orders."""
+
+    @property
+    def answers(self) -> Mapping[str, tuple[str, str]]:
+        """Robot to its last order, and what came of that in words."""
+        ...
+
+
+class Steering(Commanded, Protocol):
+    """What a page is attached to: a runner."""
+
+    @property
+    def kernel(self) -> Kernel: ...
+
+    @property
+    def safety(self) -> Safety: ...
+
+    @property
+    def dispatcher(self) -> Answering: ...
+
+    @property
+    def recorder(self) -> RecordingWriter: ...
+
+    @property
+    def end_reason(self) -> str: ...
+
+    def alarms(self) -> Sequence[str]: ...
 
 
 class LivePage:
     """A page for one mission. `follower` goes to the runner, which is then attached."""
 
     def __init__(self, mission: Mission, host: str, port: int) -> None:
-        self._runner: Runner | None = None
+        self._runner: Steering | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         view = View(mission, self._answers, alarms=self._alarms)
         self.follower = LiveShow(view)
@@ -36,16 +69,16 @@ class LivePage:
         self.page = Page(self.follower, self._command, host=host, port=port, answers=answers)
         self.follower.page = self.page
 
-    def attach(self, runner: Runner) -> None:
+    def attach(self, runner: Steering) -> None:
         """Commands go to this runner, in the event loop that runs now."""
         self._runner, self._loop = runner, asyncio.get_running_loop()
         self.follower.disk = DiskWords(runner.recorder.path)
         self.follower.is_over = lambda: bool(runner.end_reason)
 
-    def _answers(self) -> dict[str, tuple[str, str]]:
+    def _answers(self) -> Mapping[str, tuple[str, str]]:
         return {} if self._runner is None else self._runner.dispatcher.answers
 
-    def _alarms(self) -> list[str]:
+    def _alarms(self) -> Sequence[str]:
         return [] if self._runner is None else self._runner.alarms()
 
     def _command(self, command: dict[str, Any]) -> str:
@@ -70,7 +103,7 @@ class LivePage:
         return ""
 
 
-def _why_nowhere(runner: Runner, robot: str) -> str:
+def _why_nowhere(runner: Steering, robot: str) -> str:
     """Why a person's word of where they stand would name another place; empty where it would not."""
     pose = runner.kernel.robots[robot].pose
     if pose is None:

@@ -229,6 +229,14 @@ class View:
     def flush(self) -> None:
         """Nothing waits here."""
 
+    def begin(self, start_ns: int) -> None:
+        """The mission began then, whenever the first tick comes that is seen here."""
+        self._start_ns = start_ns
+
+    def until(self, now_ns: int) -> None:
+        """Time passes: what is known is so much older."""
+        self._now_ns = max(self._now_ns, now_ns)
+
     # -- what is shown ---------------------------------------------------------------------------------------
 
     def hello(self) -> LiveHello:

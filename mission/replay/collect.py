@@ -31,6 +31,9 @@ STEP_TICKS = 100
 WORTH_SAYING_S = 5.0
 """A robot's own knowledge that ends so much before the others' end is said to be missing."""
 
+NO_ROBOT = "a computer that watched"
+"""Whose journal it is where its head names no robot."""
+
 Progress = Callable[[float, str], None]
 """Share done, and words."""
 
@@ -160,7 +163,7 @@ def _read(path: Path, head: journals.Head, mission: Mission, first: journals.Hea
                 raise RecordingError(
                     f"{path}: it was made with {what} ({its}; the first with {ours}): left out"
                 )
-    if head.robot not in robots:
+    if head.robot and head.robot not in robots:
         raise RecordingError(
             f"{path}: it is of {head.robot!r}, which is not in the mission ({', '.join(robots)})"
         )
@@ -170,10 +173,15 @@ def _read(path: Path, head: journals.Head, mission: Mission, first: journals.Hea
 
 
 def _result_beside(journal: Path) -> dict[str, Any] | None:
-    try:
-        return open_recording(journal.with_name(RECORDINGS[0])).result()
-    except FieldkitError:
-        return None
+    """What it wrote down at its end; a computer that watched has the common recording alone."""
+    for name in RECORDINGS:
+        try:
+            result = open_recording(journal.with_name(name)).result()
+        except FieldkitError:
+            continue
+        if result is not None and "common_tick" in result:
+            return result
+    return None
 
 
 # -- together ----------------------------------------------------------------------------------------------
@@ -192,7 +200,7 @@ def lay_together(known: Sequence[Logs], robots: tuple[str, ...]) -> tuple[Logs, 
         agreeing = [logs for logs in known if _agree(best, logs.entries[key])]
         whole.closed[key] = max((logs.closed[key] for logs in agreeing), default=NEVER)
         if len(agreeing) < len(known):
-            others = [logs.me for logs in known if logs not in agreeing]
+            others = [logs.me or NO_ROBOT for logs in known if logs not in agreeing]
             words.append(
                 f"{key[0]}'s log of {key[1].name.lower()} is another one in the journal of {', '.join(others)}: were "
                 f"there two agents for {key[0]}? The one that more agents have is kept"
@@ -291,8 +299,8 @@ def _step_through(
     """To the end; on the way the belief is compared with what agents had at their last common tick."""
     said: dict[int, list[tuple[str, str]]] = {}
     for flight in flights:
-        if flight.ended is not None and flight.ended.get("common_tick", NEVER) > NEVER:
-            robot, digest = flight.head.robot, str(flight.ended["common_hash"])
+        if flight.ended is not None and flight.ended["common_tick"] > NEVER:
+            robot, digest = flight.head.robot or NO_ROBOT, str(flight.ended["common_hash"])
             said.setdefault(int(flight.ended["common_tick"]), []).append((robot, digest))
     first = min(log[0].order_ns for log in whole.entries.values() if log) // TICK_NS
     end = _end(whole)
@@ -304,6 +312,6 @@ def _step_through(
             done.compared += 1
             if line.kernel.digest() != digest:
                 done.notes.append(
-                    f"{robot}: its agent's last common belief is not that of these observations: its recording or this "
+                    f"{robot}: its last common belief is not that of these observations: its recording or this "
                     "fieldkit is another one"
                 )

@@ -66,6 +66,11 @@ def card_of(mission: Mission, robot: str, clock: Clock) -> Card:
         raise ConfigError(
             f"--robot: there is no {robot!r} in {mission.where}; robots are: {', '.join(robots)}"
         )
+    return card_named(mission, robot, clock)
+
+
+def card_named(mission: Mission, name: str, clock: Clock) -> Card:
+    """The card of this process. Raises `ConfigError` for a clock that was never set."""
     if clock.now_ns() < LEAST_NS:
         raise ConfigError(
             f"this computer's clock says {clock.now_ns() // 1_000_000_000} s since 1970, which is long past: set it "
@@ -73,7 +78,7 @@ def card_of(mission: Mission, robot: str, clock: Clock) -> Card:
         )
     made = software()
     return Card(
-        robot,
+        name,
         mission.file.name,
         mission_hash(mission),
         made["fieldkit"],

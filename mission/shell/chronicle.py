@@ -1,5 +1,6 @@
 """A kernel's steps with safety's judgement, written down as a live mission writes its own: to be replayed."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from fieldkit.messages import Command, Event, Tick
@@ -35,10 +36,10 @@ class Chronicle:
             records.belief(number, t_ns, look)
         return allowed
 
-    def end(self, t_ns: int, reason: str) -> None:
-        """Write how it went, with the digests that a replay must reproduce."""
+    def end(self, t_ns: int, reason: str, more: Mapping[str, Any] | None = None) -> None:
+        """Write how it went, with the digests that a replay must reproduce, and what else is to be remembered."""
         self._records.end(self.steps, t_ns)
-        self._writer.result(self.steps, t_ns, self._result(reason))
+        self._writer.result(self.steps, t_ns, {**self._result(reason), **(more or {})})
 
     def _result(self, reason: str) -> dict[str, Any]:
         kernel = self._kernel

@@ -6,10 +6,11 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from typing import Literal
+from typing import Literal, Protocol
 
-from fieldkit.messages import Operator
-from mission.shell.runner import Runner
+from fieldkit.messages import Event, Operator
+from mission.core.mission_file import Mission
+from mission.shell.setups import Setup
 
 Action = Literal["hold", "resume", "return", "end"]
 WORDS: dict[str, Action] = {
@@ -33,6 +34,18 @@ LISTEN_AGAIN_S = 0.2
 MOST_SHOWN = 40
 KEYS = re.compile(r"\x1b(?:\[[0-9;?]*[ -/]*[@-~]|O.|.)?")
 """What arrows and other keys without a letter send: hit on the way to Enter, they must not keep it from holding."""
+
+
+class Commanded(Protocol):
+    """What takes orders: a runner."""
+
+    @property
+    def mission(self) -> Mission: ...
+
+    @property
+    def setup(self) -> Setup: ...
+
+    def put(self, event: Event) -> None: ...
 
 
 class NotUnderstood(ValueError):
@@ -85,7 +98,7 @@ class Typed:
 
 
 @contextlib.contextmanager
-def keyboard(runner: Runner) -> Iterator[None]:
+def keyboard(runner: Commanded) -> Iterator[None]:
     """Lines typed at a terminal go to the mission while in here; without a terminal nothing is read."""
     loop = asyncio.get_running_loop()
     if not (sys.stdin is not None and sys.stdin.isatty()):

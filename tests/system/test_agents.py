@@ -59,15 +59,16 @@ def fields() -> Iterator[dict[str, tuple[RunningField, str]]]:
 class Agent:
     """`fieldkit agent` in a process of its own."""
 
-    def __init__(self, folder: Path, name: str, port: int, listens: bool) -> None:
+    def __init__(self, folder: Path, name: str, port: int, listens: bool, who: tuple[str, ...] = ()) -> None:
         self.folder, self.name = folder / name, name
         self.folder.mkdir(exist_ok=True)
         wire = [f"--{'listen' if listens else 'connect'}", f"tcp/127.0.0.1:{port}"]
         self._path = self.folder / f"said{len(list(self.folder.glob('said*')))}"
         self._said: IO[bytes] = self._path.open("wb")
         arguments = [
-            sys.executable, "-m", "fieldkit", "agent", str(folder / "mission.toml"), "--robot", name, *wire,
-            "--no-scouting", "--contact-m", "5", "--out", str(self.folder / "runs"), "--json",
+            sys.executable, "-m", "fieldkit", "agent", str(folder / "mission.toml"),
+            *(who or ("--robot", name, "--contact-m", "5")), *wire, "--no-scouting",
+            "--out", str(self.folder / "runs"), "--json",
         ]  # fmt: skip
         env = {**os.environ, "PYTHONUNBUFFERED": "1"}
         self.process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=self._said, env=env)
