@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 from fieldkit.engine.decentralised.logs import TICK_NS, Logs, Stream
 from fieldkit.engine.decentralised.talk import Talk
-from fieldkit.messages import Detection, EndMission, Event, Operator, Plan, VehicleState
+from fieldkit.messages import Detection, EndMission, Event, Operator, Plan, RssReading, Tick, VehicleState
 from mission.core.kernel import Kernel, Outcome
 from mission.core.kernel_settings import KernelSettings
 from mission.core.lines import Lines
@@ -35,9 +35,11 @@ class Watcher:
     lines: Lines = field(init=False)
     orders: Orders = field(init=False)
     fresh: list[Event] = field(default_factory=list)
-    """What has come to be known since this was last emptied, as it came; orders apart."""
+    """Poses and states that have come to be known since this was last emptied, none older than one before."""
     over_ns: int | None = None
     """When the mission was over, as far as is known here."""
+    _seen_ns: dict[tuple[type, str], int] = field(default_factory=dict)
+    """When the latest pose and states were, of each robot."""
     _read: dict[str, int] = field(default_factory=dict)
     """Robot to how many entries of its log of orders and states were looked at."""
 
@@ -64,21 +66,30 @@ class Watcher:
             is_news = self.orders.learn(said.order) if said.robot else self.orders.hand_on(said.order)
             news += [said.order] if is_news else []
         if said.new:
-            self.fresh += [entry.event for entry in said.new if not isinstance(entry.event, Operator)]
             news += self._read_orders()
+        for entry in (*said.new, *said.ahead):
+            self._see(entry.event)
         if (peer := self.talk.peers.get(said.robot)) is not None:
             self.orders.obeyed(said.robot, peer.obeyed)
         return news
 
+    def _see(self, event: Event) -> None:
+        """Where everybody is now is shown at once, though hours of the past are still to come."""
+        if isinstance(event, Operator | Tick | RssReading):
+            return
+        if isinstance(event, VehicleState):
+            self.orders.see(event)
+        if event.t_ns >= self._seen_ns.get((type(event), event.robot), 0):
+            self._seen_ns[type(event), event.robot] = event.t_ns
+            self.fresh.append(event)
+
     def _read_orders(self) -> Iterator[Operator]:
-        """What is new in the logs of orders and states; orders that were not known here."""
+        """Orders that are new in the robots' logs, and were not known here."""
         for robot in self.logs.robots:
             log = self.logs.entries[robot, Stream.ORDERS]
             for number in range(self._read.get(robot, 0), len(log)):
                 event = log[number].event
-                if isinstance(event, VehicleState):
-                    self.orders.see(event)
-                elif isinstance(event, Operator) and self.orders.read(event, robot):
+                if isinstance(event, Operator) and self.orders.read(event, robot):
                     yield event
             self._read[robot] = len(log)
 

@@ -239,11 +239,10 @@ class AgentRunner(Runner):
     def _somebody_lacks(self) -> bool:
         talk = self.crew.agent.talk
         counts = talk.logs.counts()
-        return any(
-            talk.peers[name].counts.get(key, 0) < count
-            for name in talk.in_range(self.setup.clock.now_ns())
-            for key, count in counts.items()
-        )
+        now_ns = self.setup.clock.now_ns()
+        peers = [talk.peers[name] for name in talk.in_range(now_ns)]
+        peers += [talk.watchers[number] for number in talk.watchers_in_range(now_ns)]
+        return any(peer.counts.get(key, 0) < count for peer in peers for key, count in counts.items())
 
     async def _finish(self, t_ns: int) -> None:
         if self.crew.common is not None and self.crew.common.steps:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fieldkit.engine.decentralised import packing
-from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Logs
+from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Logs, Stream
+from fieldkit.engine.decentralised.peer import GIVE_BACK_S
 from fieldkit.engine.decentralised.sealing import Seal, session_key
 from fieldkit.engine.decentralised.talk import WATCHERS, Talk
 from fieldkit.messages import Operator, Pose, RssReading
@@ -136,6 +137,8 @@ def test_a_robot_that_has_lost_its_log_gets_it_back_from_a_watcher_and_waits_for
             team["laptop"].take(message, at_ns)
         for message in team["laptop"].messages(at_ns):
             forgetful.take(message, at_ns)
+        if tick * TICK_NS < GIVE_BACK_S * S:
+            assert not any(forgetful.logs.entries.values()), "it may be of the next mission"
     assert not forgetful.lacks_own(now_ns + 20 * S)
     assert sum(map(len, forgetful.logs.entries.values())) == sum(
         map(len, team["laptop"].logs.entries.values())
@@ -170,3 +173,40 @@ def test_who_has_no_robot_adds_to_no_log() -> None:
     assert logs.own == () and set(logs.closed.values()) == {NEVER}
     with pytest.raises(ValueError, match="'z' is not one of a, b"):
         Logs("z", ROBOTS)
+
+
+def test_a_watcher_that_has_just_come_knows_where_all_are_though_not_yet_where_they_were() -> None:
+    team = {name: robot(name, bytes_s=180.0) for name in ROBOTS}
+    converse(team, (0, 1000))
+    laptop, seen_ns = watcher(), dict.fromkeys(ROBOTS, 0)
+    for tick in range(2000, 2006):
+        now_ns = START_NS + tick * TICK_NS
+        for name, talk in team.items():
+            talk.logs.append(packing.quantised(Pose(now_ns, name, 1.0, 1.0)), now_ns)
+            talk.logs.close(now_ns)
+            for message in talk.messages(now_ns):
+                said = laptop.take(message, now_ns)
+                assert said is not None
+                seen_ns |= {entry.event.robot: entry.event.t_ns for entry in said.ahead if entry.event.robot}
+        for message in laptop.messages(now_ns):
+            for talk in team.values():
+                talk.take(message, now_ns)
+    assert min(seen_ns.values()) >= START_NS + 2004 * TICK_NS and laptop.logs.checkpoint() == NEVER
+
+
+def test_over_links_that_take_seconds_a_watcher_waits_for_what_is_on_its_way() -> None:
+    air = Air(range_m=10.0, delay_s=5.0)
+    far = {"a": (0.0, 0.0), "b": (100.0, 0.0)}
+
+    def walks(t_s: float) -> dict[str, Place]:
+        return far | {"laptop": (0.0, 5.0) if t_s < 200 else (100.0, 5.0)}
+
+    team = {"a": robot("a"), "b": robot("b"), "laptop": watcher()}
+    converse(team, (0, 200), air, walks, clock_s=30.0)
+    before = team["laptop"].sent["again"]
+    converse(team, (200, 300), air, walks, clock_s=30.0)
+    known = sum(len(team["b"].logs.entries["a", stream]) for stream in Stream)
+    assert known > 740, "all that a had said"
+    needed = sum(log.packed_bytes for log in team["laptop"].logs.entries.values()) or known * 8
+    assert team["laptop"].sent["again"] - before < 4 * needed
+    assert team["laptop"].peers["b"].round_trip_s == pytest.approx(10.5, abs=1.0)

@@ -12,6 +12,9 @@ HEARS_S = 3.0
 ROUND_TRIP_S = 1.0
 AGAIN_TRIPS = 0.5
 """What does not arrive is sent again after so many round trips: less than one, since the second try may be lost too."""
+GIVE_BACK_S = 6.0
+"""A robot that lacks its own log for so long gets it back from a watcher. Longer than between two cards: one that has
+begun a new mission is known by then (`mission.shell.watching`), and must not get the log of the last."""
 LAGS = 6
 """Tables by which a clock is measured."""
 
@@ -41,6 +44,8 @@ class Peer:
     round_trips_s: deque[float] = field(default_factory=lambda: deque([ROUND_TRIP_S], maxlen=8))
     sent: dict[Key, int] = field(default_factory=dict)
     """Up to which entry each log was sent again to it."""
+    lacks_own_ns: int | None = None
+    """Since when it lacks entries of its own logs that are known here; None: it has all."""
     moved_ns: dict[Key, int] = field(default_factory=dict)
     """When it last had more of a log, or was begun to be sent it again."""
 
@@ -65,6 +70,10 @@ class Peer:
         if waited_s > AGAIN_TRIPS * self.round_trip_s + 2.0 * TICK_S:
             self.moved_ns[key], self.sent[key] = now_ns, count
         return max(count, self.sent.get(key, 0))
+
+    def wants_own_back(self, now_ns: int) -> bool:
+        """Whether it has lost its own log for good."""
+        return self.lacks_own_ns is not None and (now_ns - self.lacks_own_ns) * 1e-9 >= GIVE_BACK_S
 
     def is_heard(self, now_ns: int) -> bool:
         """Whether it is in range."""

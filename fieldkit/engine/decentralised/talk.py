@@ -68,6 +68,8 @@ class Said:
     """Entries that we did not have."""
     order: Operator | None = None
     """What an operator asks for at another member."""
+    ahead: tuple[Entry, ...] = ()
+    """Entries that wait for those before them: no part of a log yet, but news of what is now."""
 
 
 @dataclass
@@ -123,9 +125,11 @@ class Talk:
             if opened.kind == ORDER:
                 return Said(name, order=_read_order(reader))
             table = self._read_state(peer, reader, tick, opened.sent_ns) if opened.kind == STATE else {}
-            new = self._read_parts(reader, tick)
+            new, ahead = self._read_parts(reader, tick)
             self._learn(peer, table, now_ns)
-            return Said(name, new)
+            if name and table:
+                self._mind_own(name, peer, table, now_ns)
+            return Said(name, new, ahead=ahead)
         except RecordingError:
             self.refused += 1
             return None
@@ -169,11 +173,23 @@ class Talk:
         if own is not None and own[1] > NEVER:
             peer.round_trips_s.append(min(now_ns / 1e9 - own[1] * TICK_S, LONGEST_ROUND_TRIP_S))
 
-    def _read_parts(self, reader: packing.Reader, tick: int) -> tuple[Entry, ...]:
+    def _mind_own(self, name: str, peer: Peer, table: dict[Key, tuple[int, int]], now_ns: int) -> None:
+        """Notice a robot that has lost its own log; and where we have none, how long messages take by both clocks."""
+        lacks = any(table[key][0] < len(self.logs.entries[key]) for key in self.logs.keys((name,)))
+        peer.lacks_own_ns = (peer.lacks_own_ns or now_ns) if lacks else None
+        if not self.logs.own and peer.lag_s is not None and peer.told_lag_s is not None:
+            peer.round_trips_s.append(min(peer.lag_s + peer.told_lag_s + TICK_S, LONGEST_ROUND_TRIP_S))
+
+    def _read_parts(self, reader: packing.Reader, tick: int) -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
+        """Entries that we did not have, and those that wait for others before them."""
         new: list[Entry] = []
+        ahead: list[Entry] = []
         while not reader.is_done:
-            new += self.logs.take(packing.unpack_part(reader, self.logs.robots, tick * TICK_NS))
-        return tuple(new)
+            part = packing.unpack_part(reader, self.logs.robots, tick * TICK_NS)
+            new += self.logs.take(part)
+            if part.first > len(self.logs.entries[part.key]):
+                ahead += part.entries
+        return tuple(new), tuple(ahead)
 
     # -- out -----------------------------------------------------------------------------------------------
 
@@ -320,6 +336,8 @@ class Talk:
         for peer in peers:
             count = peer.counts.get(key, 0)
             if count >= end:
+                continue
+            if not self.logs.own and peer is self.peers.get(key[0]) and not peer.wants_own_back(now_ns):
                 continue
             if mine:  # what has just left may be on its way
                 settled_ns = now_ns - round((peer.round_trip_s + TICK_S) * 1e9)
