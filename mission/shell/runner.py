@@ -150,7 +150,8 @@ class Runner:
         """Every device's events, with a name for its task."""
         setup = self.setup
         devices, flying = (setup.receivers, setup.links, setup.positions), self.mission.safety.altitude_m
-        return streams_of(*devices, setup.clock, self._note, flying, self._ticks.room)
+        lateness_s = self.mission.kernel.association_lateness_s
+        return streams_of(*devices, setup.clock, self._note, flying, self._ticks.room, lateness_s)
 
     async def _next(self) -> tuple[int, int, Event]:
         """What comes next out of the inbox. Raises what one of the tasks has raised."""

@@ -53,15 +53,21 @@ class Ticks:
         self._taken.set()
         self._tick_if_due()
 
-    async def room(self) -> None:
-        """Wait until one more reception can be thought about. Others have their turn meanwhile: a stop, vehicles."""
+    async def room(self) -> bool:
+        """Wait until one more reception can be thought about; whether that took until another tick.
+
+        Others have their turn meanwhile: a stop, vehicles.
+        """
+        waited = False
         while self._heard >= MOST_HEARD:
             if not self.has_begun():  # nothing is thought about yet
                 self._heard = 0
                 await asyncio.sleep(0)
-                return
+                return False
+            waited = True
             self._taken.clear()
             await self._taken.wait()
+        return waited
 
     def heard(self) -> None:
         """Where receptions are joined quickly, look as soon as this one can be: not at the next regular tick."""
