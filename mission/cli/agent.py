@@ -155,7 +155,7 @@ def agent(
     say(f"{robot} records to {folder}; looks for others {network.where}")
     with before_the_start():
         with (
-            shown_page(mission, page, page_host, page_port) as shown,
+            shown_page(mission, page, page_host, page_port, "agent") as shown,
             Watch(quiet=as_json and not sys.stderr.isatty()) as terminal,
         ):
             runner = fly_agent(mission, setup, network, card, options, folder, terminal.show, shown)
@@ -211,7 +211,7 @@ def _watch(
     say(f"records to {folder}; looks for robots {network.where}")
     with (
         before_the_start(),
-        shown_page(mission, True, host, port) as shown,
+        shown_page(mission, True, host, port, "page") as shown,
         Watch(quiet=as_json and not sys.stderr.isatty()) as terminal,
     ):
         watched = watch_team(

@@ -15,6 +15,7 @@ from fieldkit.console import is_quiet
 
 if TYPE_CHECKING:
     from mission.core.mission_file import Mission
+    from mission.page.protocol import Ends
     from mission.page.serve import LivePage
     from mission.shell.recorder import Follower
     from mission.shell.runner import Runner
@@ -77,21 +78,23 @@ def may_be_shown(wanted: bool, host: str, port: int) -> None:
 
 
 @contextmanager
-def shown_page(mission: "Mission", wanted: bool, host: str, port: int) -> "Iterator[LivePage | None]":
-    """The live page, and where to find it, on standard error."""
+def shown_page(
+    mission: "Mission", wanted: bool, host: str, port: int, ends: "Ends" = "mission"
+) -> "Iterator[LivePage | None]":
+    """The live page, and where to find it, on standard error. `ends`: what the end pressed there ends."""
     if not wanted:
         yield None
         return
     from mission.page import serve
     from mission.shell.keyboard import HELP
 
-    with serve.live(mission, host=host, port=port) as shown:
+    with serve.live(mission, host=host, port=port, ends=ends) as shown:
         say(f"to look and command, open  {shown.page.command_address}", always=True)
         say(f"only to look:              {shown.page.address}", always=True)
         if shown.page.is_reached_by_others and sys.stderr.isatty():
             print_code(shown.page.command_address)
         if sys.stdin is not None and sys.stdin.isatty():
-            say(HELP)
+            say(HELP.replace("the mission", f"this {ends} alone") if ends != "mission" else HELP)
         yield shown
 
 

@@ -41,6 +41,10 @@ class Member(TypedDict):
     """It is a person."""
 
 
+Ends = Literal["mission", "agent", "page"]
+"""What End on a page ends: of robots without a common computer one agent alone, or nothing but the page."""
+
+
 class _Hello(TypedDict):
     kind: Literal["hello"]
     mission: str
@@ -57,6 +61,7 @@ class LiveHello(_Hello):
     """What does not change, of a mission under way. It comes first."""
 
     live: Literal[True]
+    ends: Ends
 
 
 class PastHello(_Hello):

@@ -16,6 +16,7 @@ from mission.page.answers import Answers, Report
 from mission.page.disk import DiskWords
 from mission.page.live import LiveShow
 from mission.page.past import PastShow
+from mission.page.protocol import Ends
 from mission.page.server import Page
 from mission.page.view import View
 from mission.safety.rules import Safety
@@ -58,10 +59,11 @@ class Steering(Commanded, Protocol):
 class LivePage:
     """A page for one mission. `follower` goes to the runner, which is then attached."""
 
-    def __init__(self, mission: Mission, host: str, port: int) -> None:
+    def __init__(self, mission: Mission, host: str, port: int, ends: Ends = "mission") -> None:
         self._runner: Steering | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         view = View(mission, self._answers, alarms=self._alarms)
+        view.ends = ends
         self.follower = LiveShow(view)
         background = background_or_none(mission)
         view.background = None if background is None else background.described()
@@ -115,9 +117,11 @@ def _why_nowhere(runner: Steering, robot: str) -> str:
 
 
 @contextmanager
-def live(mission: Mission, *, host: str = given.PAGE_HOST, port: int = 0) -> Iterator[LivePage]:
+def live(
+    mission: Mission, *, host: str = given.PAGE_HOST, port: int = 0, ends: Ends = "mission"
+) -> Iterator[LivePage]:
     """The page of a mission about to run. Raises `ConfigError` where the port is taken."""
-    made = LivePage(mission, host, port)
+    made = LivePage(mission, host, port, ends)
     with made.page:
         try:
             yield made

@@ -37,6 +37,7 @@ from mission.maps.present import Latest
 from mission.page.exposure import Exposure
 from mission.page.grids import grid
 from mission.page.protocol import (
+    Ends,
     Frame,
     Grid,
     GridName,
@@ -53,6 +54,7 @@ from mission.page.protocol import (
     SavedAs,
     Source,
     TrackPoint,
+    _Hello,
 )
 from mission.safety.monitor import Watched, reserve_of
 
@@ -101,6 +103,7 @@ class View:
         self._exposure = Exposure(engine)
         self.latest = Latest(mission)
         """The present, for other maps."""
+        self.ends: Ends = "mission"
         self.background: BackgroundShown | None = None
         """Pictures under the map."""
         self.files: list[SavedAs] = [("GeoJSON", "sources.geojson"), ("KML", "present.kml")]
@@ -241,10 +244,12 @@ class View:
 
     def hello(self) -> LiveHello:
         """What does not change: the field, the robots, their teams."""
+        return {**self._hello(), "live": True, "ends": self.ends}
+
+    def _hello(self) -> _Hello:
         field = self.mission.file.field
         return {
             "kind": "hello",
-            "live": True,
             "mission": self.mission.file.name,
             "field": {
                 "east_m": field.size_east_m,
@@ -264,7 +269,7 @@ class View:
 
     def past_hello(self, duration_s: float) -> PastHello:
         """The same for a recording so long."""
-        return {**self.hello(), "live": False, "duration_s": duration_s}
+        return {**self._hello(), "live": False, "duration_s": duration_s}
 
     def frame(self) -> Frame:
         """The present."""

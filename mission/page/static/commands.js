@@ -103,6 +103,7 @@ export function showRights() {
   const live = Boolean(model.hello?.live);
   $("commands").hidden = !live;
   $("player").hidden = live || !model.hello;
+  if (model.hello?.live) $("end").textContent = model.hello.ends === "mission" ? "End mission" : `End this ${model.hello.ends}`;
   holdButton.hidden = !live;
   for (const button of buttons("#commands button")) button.disabled = !mayChange();
   holdButton.disabled = !maySteer();

@@ -215,6 +215,7 @@ export interface LiveHello {
   background: BackgroundShown | null;
   files: [string, string][];
   live: true;
+  ends: "mission" | "agent" | "page";
 }
 
 /** How was it at that time? Of a mission under way. */
