@@ -79,22 +79,24 @@ def may_be_shown(wanted: bool, host: str, port: int) -> None:
 
 @contextmanager
 def shown_page(
-    mission: "Mission", wanted: bool, host: str, port: int, ends: "Ends" = "mission"
+    mission: "Mission", wanted: bool, host: str, port: int, ends: "Ends | None" = None
 ) -> "Iterator[LivePage | None]":
-    """The live page, and where to find it, on standard error. `ends`: what the end pressed there ends."""
+    """The live page, and where to find it, on standard error. `ends`: what End ends, if not the whole."""
     if not wanted:
         yield None
         return
     from mission.page import serve
     from mission.shell.keyboard import HELP
 
-    with serve.live(mission, host=host, port=port, ends=ends) as shown:
+    with serve.live(mission, host=host, port=port) as shown:
+        if ends is not None:
+            shown.ends(ends)
         say(f"to look and command, open  {shown.page.command_address}", always=True)
         say(f"only to look:              {shown.page.address}", always=True)
         if shown.page.is_reached_by_others and sys.stderr.isatty():
             print_code(shown.page.command_address)
         if sys.stdin is not None and sys.stdin.isatty():
-            say(HELP.replace("the mission", f"this {ends} alone") if ends != "mission" else HELP)
+            say(HELP if ends is None else HELP.replace("the mission", f"this {ends} alone"))
         yield shown
 
 

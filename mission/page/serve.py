@@ -59,17 +59,20 @@ class Steering(Commanded, Protocol):
 class LivePage:
     """A page for one mission. `follower` goes to the runner, which is then attached."""
 
-    def __init__(self, mission: Mission, host: str, port: int, ends: Ends = "mission") -> None:
+    def __init__(self, mission: Mission, host: str, port: int) -> None:
         self._runner: Steering | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         view = View(mission, self._answers, alarms=self._alarms)
-        view.ends = ends
         self.follower = LiveShow(view)
         background = background_or_none(mission)
         view.background = None if background is None else background.described()
         answers = Answers(mission.frame, view.latest.present, background)
         self.page = Page(self.follower, self._command, host=host, port=port, answers=answers)
         self.follower.page = self.page
+
+    def ends(self, what: Ends) -> None:
+        """What End on it ends, where that is not the whole mission. Before anybody looks."""
+        self.follower.view.ends = what
 
     def attach(self, runner: Steering) -> None:
         """Commands go to this runner, in the event loop that runs now."""
@@ -117,11 +120,9 @@ def _why_nowhere(runner: Steering, robot: str) -> str:
 
 
 @contextmanager
-def live(
-    mission: Mission, *, host: str = given.PAGE_HOST, port: int = 0, ends: Ends = "mission"
-) -> Iterator[LivePage]:
+def live(mission: Mission, *, host: str = given.PAGE_HOST, port: int = 0) -> Iterator[LivePage]:
     """The page of a mission about to run. Raises `ConfigError` where the port is taken."""
-    made = LivePage(mission, host, port, ends)
+    made = LivePage(mission, host, port)
     with made.page:
         try:
             yield made

@@ -17,11 +17,10 @@ __all__ = ["browser"]
     ("ends", "words"), [("mission", "End mission"), ("agent", "End this agent"), ("page", "End this page")]
 )
 def test_end_says_what_it_ends(browser: Any, tmp_path: Path, ends: Ends, words: str) -> None:
-    with (
-        serve.live(small_mission(tmp_path), ends=ends) as shown,
-        looking(browser, shown.page.command_address) as tab,
-    ):
-        tab.locator("#end", has_text=words).wait_for()
-        tab.locator("#end").click()
-        tab.locator("#end", has_text="Sure? Press again").wait_for()
-        tab.locator("#end", has_text=words).wait_for()
+    with serve.live(small_mission(tmp_path)) as shown:
+        shown.ends(ends)
+        with looking(browser, shown.page.command_address) as tab:
+            tab.locator("#end", has_text=words).wait_for()
+            tab.locator("#end").click()
+            tab.locator("#end", has_text="Sure? Press again").wait_for()
+            tab.locator("#end", has_text=words).wait_for()
