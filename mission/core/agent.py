@@ -70,6 +70,8 @@ class Agent:
     _ready: bool = False
     _early: dict[type, Observation] = field(default_factory=dict)
     """Its own last pose and states from before its first tick."""
+    _early_orders: list[Operator] = field(default_factory=list)
+    """Orders from before its first tick: obeyed at once, logged with it."""
     _pose_ns: int = -(2**62)
     _state: VehicleState | None = None
     _target: Waypoint | None = None
@@ -148,6 +150,8 @@ class Agent:
                 why = event.reason or "the operator ended the mission"
                 self._log(Operator(event.t_ns, "withdraw", self.me, why), event.t_ns)
                 return Outcome((EndMission(event.t_ns, why),))
+            case Operator() if not self._ready:  # its log may still come back from others
+                self._early_orders.append(event)
             case Operator():
                 self._log(event, event.t_ns)
             case _ if event.robot != self.me:
@@ -189,6 +193,9 @@ class Agent:
         if before > NEVER:
             self._log(ReceiverState(before * TICK_NS, self.me, False, "its agent was restarted"), now_ns)
             self._log(ReceiverState(now_ns, self.me, True, "its agent goes on"), now_ns)
+        for order in self._early_orders:
+            self._log(order, now_ns)
+        self._early_orders.clear()
         for event in self._early.values():
             self.step(replace(event, t_ns=now_ns) if isinstance(event, ReceiverState) else event)
 

@@ -16,7 +16,7 @@ from fieldkit.engine.decentralised.card import Card, clock_refusal, is_second, r
 from fieldkit.engine.decentralised.logs import Logs
 from fieldkit.errors import ConfigError
 from fieldkit.jumploop import LoopClock
-from fieldkit.messages import Operator
+from fieldkit.messages import Operator, Tick
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.bodies import Rover
@@ -364,6 +364,7 @@ def test_a_journal_is_taken_up_only_by_its_robot_mission_and_in_time(tmp_path: P
     folder.mkdir(parents=True)
     journal = journals.Journal(folder / journals.NAME)
     journal.begin(journals.Head("r1", mine.mission_hash))
+    agent.step(Tick(START_NS))
     agent.step(Operator(START_NS, "hold", None, "stop"))
     journal.write(agent.logs)
     out = tmp_path / "runs"
@@ -388,6 +389,7 @@ def test_a_disk_that_fails_is_said_once_and_the_agent_goes_on(
     journal.begin(journals.Head("r1", "x"))
     journal.close()
     journal._file = os.open("/dev/full", os.O_WRONLY)
+    agent.step(Tick(START_NS))
     agent.step(Operator(START_NS, "hold"))
     journal.write(agent.logs)
     journal.write(agent.logs)

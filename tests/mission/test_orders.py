@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fieldkit.engine.decentralised.logs import STEP_NS, TICK_NS, Logs
+from fieldkit.engine.decentralised.logs import STEP_NS, TICK_NS, Logs, Stream
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.engine.decentralised.sealing import Seal, session_key
 from fieldkit.engine.decentralised.talk import ORDER, WATCHERS, Talk, code_of
@@ -130,6 +130,7 @@ def test_an_order_is_said_at_every_tick_until_a_copy_of_a_log_has_it(settings: K
     now_ns = START_NS + 40 * TICK_NS
     assert r1.take(laptop.messages(now_ns)[0], now_ns) == [] and r1.unlogged == [given]
     r1.step(r1.unlogged[0])
+    r1.step(Tick(now_ns))
     for message in r1.messages(now_ns):
         laptop.take(message, now_ns)
     assert laptop.orders.waiting == [] and r1.me not in laptop.unheld()
@@ -207,3 +208,32 @@ def test_an_agent_that_began_when_the_mission_was_over_is_of_the_next_one(settin
     laptop.over_ns = START_NS + 300 * S
     assert not laptop.is_of_another(robots[0], began_ns, 7200.0)
     assert laptop.is_of_another(robots[0], START_NS + 301 * S, 7200.0)
+
+
+def test_an_order_that_comes_before_an_agent_has_its_log_back_does_not_begin_another(
+    settings: KernelSettings,
+) -> None:
+    name = settings.engine.robots[0]
+    laptop, before = watcher(settings), agent(settings, name)
+    for tick in range(20):
+        now_ns = START_NS + tick * TICK_NS
+        before.step(Pose(now_ns, name, 2.0, 2.0))
+        before.step(Tick(now_ns))
+        for message in before.messages(now_ns):
+            laptop.take(message, now_ns)
+    again = agent(settings, name)
+    given, data = laptop.give(order("hold", at_s=11.0), START_NS + 11 * S)
+    again.take(data, given.t_ns)
+    again.step(again.unlogged[0])
+    tick = 23
+    while tick < 30 or (tick < 90 and again.talk.lacks_own(START_NS + tick * TICK_NS)):  # it looks round
+        tick += 1
+        now_ns = START_NS + tick * TICK_NS
+        for message in again.messages(now_ns):
+            laptop.take(message, now_ns)
+        for message in laptop.messages(now_ns):
+            again.take(message, now_ns)
+    again.step(Tick(START_NS + tick * TICK_NS))
+    places = again.logs.entries[name, Stream.PLACES]
+    assert list(places) == list(before.logs.entries[name, Stream.PLACES]) and not again.talk.lost
+    assert given in [entry.event for entry in again.logs.entries[name, Stream.ORDERS]]

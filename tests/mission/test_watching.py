@@ -315,3 +315,27 @@ def test_a_laptop_left_open_leaves_when_the_next_mission_begins(tmp_path: Path) 
     for robot in team.values():
         assert robot.runner is not None and robot.runner.result()["detections"] == 0
         assert replay(robot.log / "common.mcap").compared > 20, "a mission of its own"
+
+
+def test_a_hold_given_before_any_agent_is_there_holds_them_from_the_start(tmp_path: Path) -> None:
+    async def act(team: dict[str, Robot]) -> None:
+        laptop = Laptop(team)
+        watching = asyncio.create_task(laptop.watch())
+        r1 = team["r1"]
+        await r1.clock.sleep(2.0)
+        laptop.order("hold")
+        assert set(laptop.at.watcher.unheld()) == set(NAMES)
+        flights = asyncio.create_task(both(team))
+        for _ in range(150):
+            await r1.clock.sleep(0.1)
+            assert all(map(stands, team.values()))
+        assert not laptop.at.watcher.unheld() and not laptop.at.alarms()
+        for robot in team.values():
+            assert robot.runner is not None
+            assert all(each.held for each in robot.runner.crew.agent.common.kernel.robots.values())
+        laptop.order("resume")
+        await until(r1, lambda: not any(map(stands, team.values())))
+        laptop.order("end")
+        await asyncio.gather(watching, flights)
+
+    two(tmp_path, act, duration_s=40.0)
