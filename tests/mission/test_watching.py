@@ -9,8 +9,11 @@ from pathlib import Path
 
 from test_agent_runner import KEY, Robot, both, notes, two
 
+from fieldkit.clock import RealClock, VirtualClock
 from fieldkit.engine.decentralised.card import Card
-from fieldkit.engine.decentralised.talk import WATCHERS
+from fieldkit.engine.decentralised.logs import Logs
+from fieldkit.engine.decentralised.sealing import Seal
+from fieldkit.engine.decentralised.talk import WATCHERS, Talk
 from fieldkit.messages import Operator
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
@@ -25,6 +28,7 @@ from mission.safety.rules import Safety
 from mission.shell import journal as journals
 from mission.shell.agent_flight import head_of
 from mission.shell.chronicle import Chronicle
+from mission.shell.others import TeamClock
 from mission.shell.watch_flight import make_watcher
 from mission.shell.watching import Watching, watcher_name
 
@@ -339,3 +343,46 @@ def test_a_hold_given_before_any_agent_is_there_holds_them_from_the_start(tmp_pa
         await asyncio.gather(watching, flights)
 
     two(tmp_path, act, duration_s=40.0)
+
+
+def test_over_a_bad_link_a_hold_arrives_all_the_same_and_who_has_it_is_known(tmp_path: Path) -> None:
+    async def act(team: dict[str, Robot]) -> None:
+        flights = asyncio.create_task(both(team))
+        r1 = team["r1"]
+        laptop = Laptop(team)
+        watching = asyncio.create_task(laptop.watch())
+        await until(r1, lambda: not any(map(stands, team.values())))
+        for _ in range(3):
+            laptop.order("hold")
+            await until(r1, lambda: all(map(stands, team.values())), 6.0)
+            await until(r1, lambda: not laptop.at.watcher.unheld(), 10.0)
+            await until(r1, lambda: not laptop.at.watcher.orders.waiting, 10.0)
+            laptop.order("resume")
+            await until(r1, lambda: not any(map(stands, team.values())), 20.0)
+        laptop.order("end")
+        await asyncio.gather(watching, flights)
+
+    two(tmp_path, act, duration_s=120.0, air=Air(loss=0.5, delay_s=0.5, jitter_s=0.5, repeated=0.2))
+
+
+class Off(Talk):
+    """A conversation by which this computer's clock is 4 s ahead until it is set."""
+
+    off_s = 4.0
+
+    def clock_off(self, now_ns: int) -> tuple[str, float] | None:
+        return ("r1", self.off_s) if self.off_s else None
+
+    def clock_set_back(self, now_ns: int, by_s: float) -> None:
+        self.off_s -= by_s
+
+
+def test_a_clock_is_set_by_the_first_robots_and_one_that_cannot_be_set_is_spoken_of_once() -> None:
+    talk, clock = Off(Logs("", NAMES), Seal(KEY, WATCHERS[0])), RealClock()
+    before_ns = RealClock().now_ns()
+    team = TeamClock(clock, talk)
+    assert "this computer's clock is 4.00 s ahead of r1's: that is taken off" in team.follow()
+    assert clock.now_ns() < before_ns and team.follow() == ""
+    talk.off_s = -2.0
+    other = TeamClock(VirtualClock(), talk)
+    assert "2.00 s behind r1's: set the clocks" in other.follow() and other.follow() == ""
