@@ -55,6 +55,17 @@ def test_a_find_that_falls_silent_is_flagged_within_ten_of_its_own_periods() -> 
     assert "gone silent: last heard 200 s ago" in found.note and found.silence_odds < 0.01
 
 
+def test_where_one_has_gone_silent_others_may_sleep_and_little_can_be_said_of_what_is_left() -> None:
+    world = Searched()
+    world.go(12, (6.0, 6.0), (6.0, 6.0))
+    before, words = world.belief.probability_left(), world.belief.left_words()
+    world.go(10, (6.0, 6.0), None)
+    assert world.belief.probability_left() >= 1.0 - (1.0 - before) * np.exp(-FIELD.expected_sources) - 0.05
+    assert "silent" not in words and "of those known 1 went silent" in world.belief.left_words()
+    world.go(12, (9.0, 6.0), (9.0, 6.0))  # it has moved: nobody sleeps
+    assert silence.expected_asleep(world.belief.mixture, world.belief._silent) == 0.0
+
+
 def test_silence_where_nobody_listens_says_nothing() -> None:
     world = Searched()
     world.go(12, (3.0, 3.0), (3.0, 3.0))

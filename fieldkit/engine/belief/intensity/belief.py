@@ -18,7 +18,7 @@ from scipy.special import gammainc, gammaincinv
 from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary
 from fieldkit.engine.belief.intensity.mixture import Mixture
-from fieldkit.engine.belief.intensity.silence import gone_probability, silence
+from fieldkit.engine.belief.intensity.silence import expected_asleep, gone_probability, silence
 from fieldkit.engine.belief.intensity.silence import words as silence_words
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
 from fieldkit.engine.settings import EngineSettings
@@ -323,7 +323,7 @@ class IntensityBelief:
             weight * float(self._another_source(rate).sum())
             for rate, weight in zip(rates_hz, weights, strict=True)
         )
-        none_left = float(np.exp(-expected))
+        none_left = float(np.exp(-expected - expected_asleep(self.mixture, self._silent)))
         for candidate in self.candidates:
             if candidate.state != "found":
                 in_field = self.mixture.summary(candidate).p_in_field
@@ -342,7 +342,12 @@ class IntensityBelief:
     def left_words(self) -> str:
         """For which senders `probability_left` holds."""
         slowest_s = 1.0 / (self._tuning.slowest * self.settings.reference_rate_hz)
-        return f"of sources that send at least once in {slowest_s:.0f} s on average"
+        asleep = (
+            f"; of those known {len(self._silent)} went silent, and others may sleep as they do"
+            if self._silent
+            else ""
+        )
+        return f"of sources that send at least once in {slowest_s:.0f} s on average{asleep}"
 
     def _another_source(self, rate_hz: float | None = None) -> FloatArray:
         """(n_north, n_east) the same, of the field alone, without a limit."""

@@ -4,6 +4,7 @@ With a rate known as Gamma(a + n, b + E) from n receptions in exposure E, nothin
 probability ((b + E) / (b + E + S))^(a + n). Exposure counts only where somebody would have heard it.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -91,6 +92,22 @@ def silence(mixture: "Mixture", candidate: Candidate) -> Silence:
     if not claims:  # all that it sent are marginalised
         return Silence(candidate.last_ns, min(1.0, in_favour * odds(since, candidate.exposure_then_s)))
     return min(claims, key=lambda each: each.odds)
+
+
+def expected_asleep(mixture: "Mixture", silent: Collection[int]) -> float:
+    """How many sources nobody has heard because they sleep, where of those heard some have gone silent (by identity).
+
+    Of as many as were expected at first, the share that is silent of those that are known; one that is heard from
+    another place sleeps not.
+    """
+    known = [c for c in mixture.candidates if c.receptions >= mixture.settings.min_receptions - 0.1]
+    asleep = [
+        candidate
+        for candidate in known
+        if candidate.ident in silent
+        and moved_to(mixture, candidate, silence(mixture, candidate).since_ns) is None
+    ]
+    return mixture.settings.expected_sources * len(asleep) / max(len(known), 1)
 
 
 def gone_probability(mixture: "Mixture", candidate: Candidate) -> float:
