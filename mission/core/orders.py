@@ -1,6 +1,6 @@
 """Operators' orders, as far as they are known here: what is to be handed on, and who has shown that it obeys. Pure."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 from fieldkit.engine.decentralised.entries import STEP_NS
@@ -26,6 +26,8 @@ class Orders:
     """Robot to the last order of `STEERING` that means it."""
     _shown: set[str] = field(default_factory=set)
     """Robots that have shown that they have got that one."""
+    _where: dict[Operator, dict[str, int]] = field(default_factory=dict)
+    """Order to the robots in whose logs it stands, and its number there."""
     _vehicles: dict[str, VehicleState] = field(default_factory=dict)
     _latest_ns: int = 0
 
@@ -44,17 +46,8 @@ class Orders:
         """An order of a computer that has no log; whether it is news. It is said on until it stands in one."""
         if not self.learn(order):
             return False
-        meant = set(self._meant(order))
-        if order.action in STEERING:
-            # Said later, it would hold a robot that the new one has let go.
-            late = [
-                each
-                for each in self.waiting
-                if each.action in STEERING and meant.issuperset(self._meant(each)) and each.t_ns <= order.t_ns
-            ]
-            self.waiting = [each for each in self.waiting if each not in late]
-            self.void += late
         self.waiting.append(order)
+        self._drop_void()
         return True
 
     def learn(self, order: Operator) -> bool:
@@ -68,15 +61,34 @@ class Orders:
                 if robot not in self._last or order.t_ns >= self._last[robot].t_ns:
                     self._last[robot] = order
                     self._shown.discard(robot)
+            self._drop_void()
         return True
 
-    def read(self, order: Operator, robot: str) -> bool:
-        """An order that stands in a robot's log: it obeys, and others learn of it there. Whether it is news."""
+    def _drop_void(self) -> None:
+        """What waits and is the last order for nobody: said later, it would hold a robot that has been let go."""
+        late = [
+            order
+            for order in self.waiting
+            if order.action in STEERING and all(self._last[robot] != order for robot in self._meant(order))
+        ]
+        self.waiting = [order for order in self.waiting if order not in late]
+        self.void += late
+
+    def read(self, order: Operator, robot: str, number: int) -> bool:
+        """An order that is an entry of a robot's log: it obeys, and others learn of it there. Whether it is news."""
         news = self.learn(order)
+        self._where.setdefault(order, {}).setdefault(robot, number)
         self.waiting = [each for each in self.waiting if each != order]
         if self._last.get(robot) == order:
             self._shown.add(robot)
         return news
+
+    def has(self, robot: str, counts: Mapping[str, int]) -> None:
+        """So many entries of each robot's log of orders a robot's agent says that it has: those it obeys."""
+        if (last := self._last.get(robot)) is not None:
+            where = self._where.get(last, {})
+            if any(counts.get(author, 0) > number for author, number in where.items()):
+                self._shown.add(robot)
 
     def see(self, state: VehicleState) -> None:
         """A vehicle's state, from its robot's log: of one out of reach there is no other word."""
@@ -85,7 +97,7 @@ class Orders:
             self._vehicles[state.robot] = state
 
     def obeyed(self, robot: str, code: int) -> None:
-        """A robot's agent says which order it has obeyed last (`code_of`)."""
+        """A robot's agent says which order it has obeyed last (`code_of`): sooner than any log."""
         if (last := self._last.get(robot)) is not None and code == code_of(last):
             self._shown.add(robot)
 

@@ -71,6 +71,8 @@ class Watcher:
             self._see(entry.event)
         if (peer := self.talk.peers.get(said.robot)) is not None:
             self.orders.obeyed(said.robot, peer.obeyed)
+            counts = {robot: peer.counts.get((robot, Stream.ORDERS), 0) for robot in self.logs.robots}
+            self.orders.has(said.robot, counts)
         return news
 
     def _see(self, event: Event) -> None:
@@ -89,7 +91,7 @@ class Watcher:
             log = self.logs.entries[robot, Stream.ORDERS]
             for number in range(self._read.get(robot, 0), len(log)):
                 event = log[number].event
-                if isinstance(event, Operator) and self.orders.read(event, robot):
+                if isinstance(event, Operator) and self.orders.read(event, robot, number):
                     yield event
             self._read[robot] = len(log)
 

@@ -41,7 +41,7 @@ def test_an_order_waits_until_it_stands_in_a_robots_log_and_no_message_will_do()
     assert not orders.learn(hold) and orders.waiting == [hold], (
         "a robot repeats it, and may be lost with its log"
     )
-    assert not orders.read(hold, "r2") and orders.waiting == []
+    assert not orders.read(hold, "r2", 0) and orders.waiting == []
     assert not orders.hand_on(hold) and orders.waiting == [], "another laptop says it still"
 
 
@@ -65,9 +65,19 @@ def test_a_later_order_takes_the_place_of_those_it_makes_void(
     assert orders.waiting == given[2 - left :] and orders.void == given[: 2 - left]
 
 
+def test_what_waits_is_void_once_a_later_order_of_anybody_is_known() -> None:
+    orders = Orders(ROBOTS)
+    hold = orders.give(order("hold"))
+    orders.learn(order("resume", "r1", at_s=2.0))
+    assert orders.waiting == [hold], "r2 has still to hold"
+    orders.read(order("resume", "r2", at_s=3.0), "r1", 0)
+    assert orders.waiting == [] and orders.void == [hold]
+    assert orders.hand_on(order("hold", "r1", at_s=1.0)) and orders.waiting == [], "it comes too late"
+
+
 def test_an_order_is_later_than_all_that_are_known_whatever_the_clock_says() -> None:
     orders = Orders(ROBOTS)
-    orders.read(order("hold", at_s=100.0), "r1")
+    orders.read(order("hold", at_s=100.0), "r1", 0)
     assert orders.give(order("resume", at_s=3.0)).t_ns == START_NS + 100 * S + STEP_NS
     assert orders.give(order("hold", at_s=200.0)).t_ns == START_NS + 200 * S
     orders.learn(order("resume", at_s=150.0))
@@ -83,7 +93,7 @@ def test_who_is_to_hold_has_shown_it_by_its_word_its_log_or_its_vehicle() -> Non
     orders.see(state("r1", "hold", 9.0))
     assert set(orders.unheld()) == {"r1", "r2"}, "it held before already, for another reason"
     orders.obeyed("r1", code_of(order("hold", at_s=9.0)))
-    orders.read(order("hold", at_s=5.0), "r1")
+    orders.read(order("hold", at_s=5.0), "r1", 0)
     assert set(orders.unheld()) == {"r1", "r2"}
     orders.obeyed("r1", code_of(hold))
     assert set(orders.unheld()) == {"r2"}
@@ -94,13 +104,19 @@ def test_who_is_to_hold_has_shown_it_by_its_word_its_log_or_its_vehicle() -> Non
     orders.see(state("r2", "guided", 12.0))
     orders.see(state("r2", "hold", 11.5))
     assert set(orders.unheld()) == {"r2"}, "it goes on: it held by chance"
-    orders.read(hold, "r2")
+    orders.read(hold, "r2", 0)
     assert not orders.unheld()
+    later = orders.give(order("hold", at_s=15.0))
+    orders.read(later, "r1", 4)
+    orders.has("r2", {"r1": 4})
+    assert set(orders.unheld()) == {"r2"}
+    orders.has("r2", {"r1": 5})
+    assert not orders.unheld(), "what an agent takes in it obeys, whatever it has obeyed since"
     again = orders.give(order("hold", "r2", at_s=20.0))
     assert orders.unheld() == {"r2": again}
-    orders.read(order("withdraw", "r2", at_s=30.0), "r2")
+    orders.read(order("withdraw", "r2", at_s=30.0), "r2", 0)
     assert not orders.unheld() and orders.withdrawn_ns() is None
-    orders.read(order("withdraw", "r1", at_s=31.0), "r1")
+    orders.read(order("withdraw", "r1", at_s=31.0), "r1", 0)
     assert orders.withdrawn_ns() == START_NS + 31 * S
 
 
@@ -154,7 +170,7 @@ def test_another_laptops_order_is_handed_on_and_a_robots_is_left_to_its_log(sett
     given, data = laptop.give(order("hold"), START_NS)
     assert tablet.take(data, START_NS) == [given] and tablet.orders.waiting == [given]
     r1 = agent(settings, settings.engine.robots[0])
-    theirs = order("resume", at_s=1.0)
+    theirs = order("resume", r1.me, at_s=1.0)
     assert tablet.take(r1.talk.order(theirs, START_NS), START_NS) == [theirs]
     assert tablet.orders.waiting == [given] and tablet.take(data, START_NS) == []
 
@@ -201,7 +217,7 @@ def test_an_agent_that_began_when_the_mission_was_over_is_of_the_next_one(settin
     assert not laptop.is_of_another(robots[0], began_ns, 7200.0), "it was killed, and goes on"
     assert laptop.is_of_another(robots[0], began_ns, 60.0), "nothing was heard for a long time"
     for robot in robots:
-        laptop.orders.read(replace(order("withdraw", at_s=150.0), robot=robot), robot)
+        laptop.orders.read(replace(order("withdraw", at_s=150.0), robot=robot), robot, 0)
     assert laptop.is_of_another(robots[0], began_ns, 7200.0), "all had been ended"
     assert not laptop.is_of_another(robots[0], START_NS + 140 * S, 7200.0)
     assert not laptop.is_of_another("laptop 130", began_ns, 7200.0)
