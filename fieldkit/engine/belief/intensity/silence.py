@@ -19,6 +19,8 @@ ALIKE_DB = 6.0
 """Sources whose powers are further apart are two."""
 WORTH_COUNTING = 0.05
 """Detections that a source has less probably sent are not counted for it."""
+SURELY_GONE = 0.99
+"""Only then others are taken to sleep as well."""
 CERTAINLY = 1e-6
 """Odds at which nothing earlier is looked at."""
 
@@ -97,14 +99,15 @@ def silence(mixture: "Mixture", candidate: Candidate) -> Silence:
 def expected_asleep(mixture: "Mixture", silent: Collection[int]) -> float:
     """How many sources nobody has heard because they sleep, where of those heard some have gone silent (by identity).
 
-    Of as many as were expected at first, the share that is silent of those that are known; one that is heard from
-    another place sleeps not.
+    Of as many as were expected at first, the share that is silent of those that are known. One that is heard from
+    another place sleeps not; and of many that are listened to for long some are silent by chance for a while.
     """
     known = [c for c in mixture.candidates if c.receptions >= mixture.settings.min_receptions - 0.1]
     asleep = [
         candidate
         for candidate in known
         if candidate.ident in silent
+        and gone_probability(mixture, candidate) >= SURELY_GONE
         and moved_to(mixture, candidate, silence(mixture, candidate).since_ns) is None
     ]
     return mixture.settings.expected_sources * len(asleep) / max(len(known), 1)
