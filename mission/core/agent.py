@@ -124,13 +124,17 @@ class Agent:
         return [order for order in orders if self._is_new(order)]
 
     def _is_new(self, order: Operator) -> bool:
-        """Whether an order was not obeyed yet, and no later one has made it void. In doubt a robot holds."""
+        """Whether an order was not obeyed yet, and no later one has made it void."""
         if order in self._obeyed:
             return False
         self._obeyed.add(order)
         if order.robot not in (None, self.me):
             return order.action in ("exclude", "remove")
         self.talk.obeyed = code_of(order)
+        return self._stands(order)
+
+    def _stands(self, order: Operator) -> bool:
+        """Whether no later order to its robot has made one void. In doubt a robot holds."""
         if order.action == "resume":
             if order.t_ns < self._held_ns:
                 return False
@@ -150,10 +154,13 @@ class Agent:
                 why = event.reason or "the operator ended the mission"
                 self._log(Operator(event.t_ns, "withdraw", self.me, why), event.t_ns)
                 return Outcome((EndMission(event.t_ns, why),))
-            case Operator() if not self._ready:  # its log may still come back from others
-                self._early_orders.append(event)
             case Operator():
-                self._log(event, event.t_ns)
+                if event.robot in (None, self.me):  # its own operator's makes older ones void as others' do
+                    self._stands(event)
+                if self._ready:
+                    self._log(event, event.t_ns)
+                else:  # its log may still come back from others
+                    self._early_orders.append(event)
             case _ if event.robot != self.me:
                 return NOTHING  # it comes by that robot's own agent
             case Pose() | VehicleState() | ReceiverState() if not self._ready:

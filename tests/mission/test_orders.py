@@ -253,3 +253,13 @@ def test_an_order_that_comes_before_an_agent_has_its_log_back_does_not_begin_ano
     places = again.logs.entries[name, Stream.PLACES]
     assert list(places) == list(before.logs.entries[name, Stream.PLACES]) and not again.talk.lost
     assert given in [entry.event for entry in again.logs.entries[name, Stream.ORDERS]]
+
+
+def test_a_hold_that_comes_late_does_not_undo_what_an_agents_own_operator_has_said_since(
+    settings: KernelSettings,
+) -> None:
+    laptop, r1 = watcher(settings), agent(settings, settings.engine.robots[0])
+    _, data = laptop.give(order("hold"), START_NS)
+    r1.step(Tick(START_NS))
+    r1.step(order("resume", at_s=20.0))
+    assert r1.take(data, START_NS + 30 * S) == [] and r1.unlogged == []

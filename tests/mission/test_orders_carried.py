@@ -61,7 +61,13 @@ class Team:
         self.network.send(self.tick / 2, name, data, self.places())
 
     def order(self, name: str, action: str) -> None:
-        _, data = self.laptops[name].give(Operator(self.now_ns, action), self.now_ns)  # type: ignore[arg-type]
+        said = Operator(self.now_ns, action)  # type: ignore[arg-type]
+        if name in self.laptops:
+            _, data = self.laptops[name].give(said, self.now_ns)
+        else:  # in the terminal of a robot's agent
+            self.does[name] = action
+            self.agents[name].step(said)
+            data = self.agents[name].talk.order(said, self.now_ns)
         self.send(name, data)
 
     def step(self) -> None:
@@ -102,7 +108,7 @@ def test_every_robot_obeys_the_last_order_in_the_end(
             team.at[name] = int(rng.integers(3))
         if rng.random() < 0.7:
             last = str(rng.choice(["hold", "resume"]))
-            team.order(str(rng.choice(list(team.laptops))), last)
+            team.order(str(rng.choice(list(team.at))), last)
         for _ in range(2 * 8):
             team.step()
     laptops = list(team.laptops)
