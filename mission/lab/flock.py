@@ -33,6 +33,10 @@ LISTENS_S = 3.0
 """An agent that was started again listens for so long before anything of its own is logged."""
 LOOK_S = 10.0
 """Time between looks at all agents' beliefs."""
+KNOWN_AFTER_S = 1.0
+"""That a robot has stopped is with the others after a tick or two: nobody can order by it before."""
+POSES_OFF = 4.0
+"""Of two robots' positions, both off in the worst direction: about three deviations of their difference."""
 
 
 @dataclass
@@ -57,7 +61,8 @@ class Flown:
     nearest_m: float
     """The least distance between two robots."""
     ordered_too_near: int
-    """Orders on a path that really led nearer than half the separation past a robot that stood within range."""
+    """Orders on a path that really led nearer than half the separation past a robot within range that was known to
+    stand: for more than a second, and beyond what positions may be off."""
     dropped: dict[str, int] = field(default_factory=dict)
 
 
@@ -96,6 +101,8 @@ class Flock:
         self.ordered_too_near = 0
         self._ordered: list[GoTo] = []
         """At this tick."""
+        self._stopped_s: dict[str, float] = {}
+        """When each robot that stands came to stand."""
 
     def _agent(self, logs: Logs) -> Agent:
         number = self.settings.engine.robots.index(logs.me)
@@ -249,7 +256,17 @@ class Flock:
     def _count_too_near(self) -> None:
         """Look at this tick's orders once all have been given: who was sent on stands no more."""
         rovers = self.world.rovers
-        standing_m = {n: (r.east_m, r.north_m) for n, r in rovers.items() if r.target_m is None}
+        self._stopped_s = {
+            name: self._stopped_s.get(name, self.world.t_s)
+            for name, rover in rovers.items()
+            if rover.target_m is None
+        }
+        standing_m = {
+            name: (rovers[name].east_m, rovers[name].north_m)
+            for name, since_s in self._stopped_s.items()
+            if self.world.t_s - since_s > KNOWN_AFTER_S
+        }
+        least_m = self.limits.near_m - POSES_OFF * self.truth.pose_sigma_m
         for order in self._ordered:
             rover, to = rovers[order.robot], order.waypoint
             path = Segment((rover.east_m, rover.north_m), (to.east_m, to.north_m), max(to.speed_m_s, 0.01))
@@ -258,7 +275,7 @@ class Flock:
                 for name, place in standing_m.items()
                 if name != order.robot and math.dist(place, path.start_m) <= self.air.range_m
             ]
-            self.ordered_too_near += any(ever_m(path, other) < self.limits.near_m for other in others)
+            self.ordered_too_near += any(ever_m(path, other) < least_m for other in others)
         self._ordered.clear()
 
     def lag_s(self, name: str) -> float:
