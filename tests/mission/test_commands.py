@@ -1,5 +1,6 @@
 """The command line as a user meets it: exit codes, messages, JSON alone on standard output."""
 
+import importlib
 import json
 import subprocess
 import sys
@@ -136,6 +137,10 @@ def test_whoever_is_impatient_at_the_end_still_reads_what_was_found(
     def pressed(path: Path) -> None:
         raise KeyboardInterrupt
 
+    importlib.import_module(
+        "mission.analysis.history"
+    )  # what is first imported now would keep the patched name
+    monkeypatch.setattr("mission.analysis.history.open_recording", pressed)
     monkeypatch.setattr("fieldkit.recording.reader.open_recording", pressed)
     radio = SimpleNamespace(name="ada", radio_why="no line for 5 s")
     runner = SimpleNamespace(
