@@ -40,7 +40,7 @@ class Reward:
         self._model = model
         self._ground = ground
         """(n_north, n_east) of squares of side `square_m`: expected number of sources not among the candidates."""
-        self._square_m = square_m
+        self.square_m = square_m
         self._rate_hz = self._tuning.ground_rate * settings.reference_rate_hz
         self._check_value = self._tuning.check_value * math.exp(
             -float(ground.sum()) / self._tuning.check_left
@@ -95,7 +95,7 @@ class Reward:
             clear,
             self._tuning.step_s,
             self.left(),
-            self._square_m,
+            self.square_m,
             self._model.hear_known_mean,
             self._model.step2_m2,
             self._model.search_reach_m,
