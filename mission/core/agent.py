@@ -62,6 +62,9 @@ class Agent:
     """Orders of a computer that has no log: whoever obeys one logs it, so that all learn of it who meet it."""
     fresh: list[Event] = field(default_factory=list)
     """What has come to be known of others since the last tick, as it came."""
+    beside: tuple[GoTo, ...] = ()
+    """Where the line that it acts on sends others at this tick: those before its own robot, or all where that is only
+    given what it was refused. The later one gives way: its safety is told of the others', theirs is not of its."""
     patience_s: float = AGENT_WAIT_S
     """So long after its first tick it waits for robots that nobody has heard of."""
     _obeyed: set[Operator] = field(default_factory=set)
@@ -214,17 +217,31 @@ class Agent:
         self.logs.close(now_ns)
         line, followed = self.line, self.lines.follows
         outcomes = self.lines.step(now_ns)
-        commands = [
-            command
-            for outcome in outcomes
-            for command in outcome.commands
-            if isinstance(command, EndMission) or command.robot == self.me
-        ]
+        planned = [command for outcome in outcomes for command in outcome.commands]
+        commands = [each for each in planned if isinstance(each, EndMission) or each.robot == self.me]
+        self.beside = self._sent_before(planned)
         changed = self.line is not line or not followed
         refused = self._target is None and (now_ns - self._asked_ns) * 1e-9 >= ASK_AGAIN_S
         if self.lines.follows and not commands and (changed or refused):
-            commands += self._standing(now_ns)
+            standing = self._standing(now_ns)
+            commands = standing.pop(self.me, [])
+            if changed:  # the others may have come to this line at this very tick as well
+                before = self.logs.robots[: self.logs.robots.index(self.me)]
+                self.beside += tuple(
+                    each for name in before for each in standing.get(name, ()) if isinstance(each, GoTo)
+                )
         return self._of(now_ns, commands, outcomes)
+
+    def _sent_before(self, planned: list[Command]) -> tuple[GoTo, ...]:
+        """See `beside`."""
+        last: dict[str, Command] = {}
+        for command in planned:
+            if not isinstance(command, EndMission):
+                last.pop(command.robot, None)
+                last[command.robot] = command
+        names = list(last)
+        before = names[: names.index(self.me)] if self.me in last else names
+        return tuple(each for name in before if isinstance(each := last[name], GoTo))
 
     def present(self, now_ns: int) -> tuple[str, ...]:
         """Robots in contact, over others too: those of which everything is known up to a few seconds ago."""
@@ -234,20 +251,17 @@ class Agent:
         """How old what is known of each other robot is; infinite where nothing is."""
         return self.lines.ages_s(now_ns)
 
-    def _standing(self, now_ns: int) -> list[Command]:
-        """What a line that it now acts on has its robot do."""
+    def _standing(self, now_ns: int) -> dict[str, list[Command]]:
+        """What a line that it now acts on has robots do."""
         if self.line.kernel.ended:
-            return [EndMission(now_ns, self.line.end_reason)]
-        targets = [
-            task.targets()[self.me]
-            for task in self.line.kernel.tasks.of.values()
-            if task.sent and self.me in task.targets()
-        ]
-        up_m = self.settings.altitude_m.get(self.me)
-        return [
-            GoTo(now_ns, self.me, target if up_m is None else replace(target, up_m=up_m))
-            for target in targets
-        ]
+            return {self.me: [EndMission(now_ns, self.line.end_reason)]}
+        standing: dict[str, list[Command]] = {}
+        for task in self.line.kernel.tasks.of.values():
+            for name, target in task.targets().items() if task.sent else ():
+                up_m = self.settings.altitude_m.get(name)
+                at = target if up_m is None else replace(target, up_m=up_m)
+                standing.setdefault(name, []).append(GoTo(now_ns, name, at))
+        return standing
 
     def _of(self, now_ns: int, commands: Iterable[Command], outcomes: list[Outcome]) -> Outcome:
         """One outcome: the last command, the last plan, all that was heard."""

@@ -15,7 +15,6 @@ from fieldkit import settings as given
 from fieldkit.engine.decentralised.logs import Logs, Part
 from fieldkit.engine.decentralised.sealing import STAMP_EPOCH_NS, Seal, session_key
 from fieldkit.engine.decentralised.talk import Talk
-from fieldkit.geometry.segments import Segment, ever_m, standing
 from fieldkit.messages import Command, EndMission, Event, GoTo, Operator, Tick, VehicleState
 from fieldkit.world.network import Air, Network
 from mission.core.agent import Agent
@@ -23,6 +22,7 @@ from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
 from mission.core.timeline import Timeline
 from mission.lab.simulate import SimulatedWorld, Truth, count_false, note_covered
+from mission.lab.too_near import TooNear
 from mission.safety.apart import SafetyApart
 from mission.safety.limits import SafetySettings
 
@@ -33,10 +33,6 @@ LISTENS_S = 3.0
 """An agent that was started again listens for so long before anything of its own is logged."""
 LOOK_S = 10.0
 """Time between looks at all agents' beliefs."""
-KNOWN_AFTER_S = 1.0
-"""That a robot has stopped is with the others after a tick or two: nobody can order by it before."""
-POSES_OFF = 4.0
-"""Of two robots' positions, both off in the worst direction: about three deviations of their difference."""
 
 
 @dataclass
@@ -61,8 +57,9 @@ class Flown:
     nearest_m: float
     """The least distance between two robots."""
     ordered_too_near: int
-    """Orders on a path that really led nearer than half the separation past a robot within range that was known to
-    stand: for more than a second, and beyond what positions may be off."""
+    """Orders that, had all gone on as ordered, led nearer than half the separation past another: `lab.too_near`."""
+    could_be_known: int
+    """Those of them of which the agent could have known, by what the other robot had said."""
     dropped: dict[str, int] = field(default_factory=dict)
 
 
@@ -98,11 +95,7 @@ class Flock:
         """Agents that were started again listen first."""
         self.seen: list[tuple[int, str, str]] = []
         """Looks at common lines: tick, robot, digest."""
-        self.ordered_too_near = 0
-        self._ordered: list[GoTo] = []
-        """At this tick."""
-        self._stopped_s: dict[str, float] = {}
-        """When each robot that stands came to stand."""
+        self.too_near = TooNear(safety.near_m)
 
     def _agent(self, logs: Logs) -> Agent:
         number = self.settings.engine.robots.index(logs.me)
@@ -146,7 +139,8 @@ class Flock:
             oldest_s,
             merged_s,
             nearest_m,
-            self.ordered_too_near,
+            self.too_near.orders,
+            self.too_near.could_be_known,
             dict(sum((agent.talk.seal.dropped for agent in living), start=Counter[str]())),
         )
 
@@ -168,9 +162,10 @@ class Flock:
             if (off := agent.talk.clock_off(self.now_ns(name))) is not None:
                 self.clock_s[name] -= off[1]
                 agent.talk.clock_set_back(self.now_ns(name), off[1])
-            for message in agent.messages(self.now_ns(name), safety.way, safety.ways):
+            for message in agent.messages(self.now_ns(name), safety.announced, safety.ways):
+                self.too_near.sent(self.world.t_s, name, self.world.rovers[name], message)
                 self.network.send(self.world.t_s, name, message, places_m)
-        self._count_too_near()
+        self.too_near.look(self.world.t_s, self.world.rovers)
         if round(self.world.t_s / given.TICK_S) % round(LOOK_S / given.TICK_S) == 0:
             self._look()
         self.world.drive()
@@ -216,6 +211,7 @@ class Flock:
     def hear(self, name: str, data: bytes) -> None:
         """A message has come to a robot's agent."""
         agent = self.agents[name]
+        self.too_near.heard(name, data)
         for order in agent.take(data, self.now_ns(name)):
             for command in self.safety[name].observe(order):
                 self._obey(name, command)
@@ -240,6 +236,7 @@ class Flock:
         tick = Tick(self.now_ns(name))
         safety = self.safety[name]
         outcome = agent.step(tick)
+        safety.beside = agent.beside
         for command in (*safety.observe(tick), *safety.judge(outcome.commands)):
             self._obey(name, command)
 
@@ -250,33 +247,8 @@ class Flock:
         elif command.robot == name:
             self.agents[name].ordered(command)
             if isinstance(command, GoTo):
-                self._ordered.append(command)
+                self.too_near.ordered(command)
             self.world.obey(command)
-
-    def _count_too_near(self) -> None:
-        """Look at this tick's orders once all have been given: who was sent on stands no more."""
-        rovers = self.world.rovers
-        self._stopped_s = {
-            name: self._stopped_s.get(name, self.world.t_s)
-            for name, rover in rovers.items()
-            if rover.target_m is None
-        }
-        standing_m = {
-            name: (rovers[name].east_m, rovers[name].north_m)
-            for name, since_s in self._stopped_s.items()
-            if self.world.t_s - since_s > KNOWN_AFTER_S
-        }
-        least_m = self.limits.near_m - POSES_OFF * self.truth.pose_sigma_m
-        for order in self._ordered:
-            rover, to = rovers[order.robot], order.waypoint
-            path = Segment((rover.east_m, rover.north_m), (to.east_m, to.north_m), max(to.speed_m_s, 0.01))
-            others = [
-                standing(place)
-                for name, place in standing_m.items()
-                if name != order.robot and math.dist(place, path.start_m) <= self.air.range_m
-            ]
-            self.ordered_too_near += any(ever_m(path, other) < least_m for other in others)
-        self._ordered.clear()
 
     def lag_s(self, name: str) -> float:
         """How far a robot's common line lies back; 0 before there is one."""

@@ -22,7 +22,7 @@ Not covered: the way home after a low battery or an order to return is announced
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from fieldkit.engine.decentralised.logs import TICK_NS
 from fieldkit.engine.decentralised.ways import NO_WAY, Way
@@ -30,8 +30,8 @@ from fieldkit.geometry.segments import Place, Segment, ever_m, leaves, standing
 from fieldkit.messages import Command, Event, GoTo, Hold, Tick, Waypoint
 from mission.safety.limits import SafetySettings
 from mission.safety.monitor import SLOW_M_S, Watched
-from mission.safety.rules import Safety
-from mission.safety.separation import CLEAR_OF_NEAR, Occupancy, are_layered
+from mission.safety.rules import Safety, segment_to
+from mission.safety.separation import CLEAR_OF_NEAR, Occupancy, are_layered, conflict
 
 ASKED_S = 5.0
 """A waiting way that is not asked for again within this time is given up."""
@@ -58,12 +58,22 @@ class SafetyApart(Safety):
     """What others announce."""
     knows: dict[str, int] = field(default_factory=dict)
     """The number of the last way of its own that each other has confirmed."""
+    beside: tuple[GoTo, ...] = ()
+    """Where the plan that it follows sends others at this very moment, before it: they may go, unheard of as yet."""
     _asked_ns: int = 0
     """When the waiting way was last asked for."""
 
     @property
     def _clear_m(self) -> float:
         return CLEAR_OF_NEAR * self.settings.near_m
+
+    @property
+    def announced(self) -> Way | None:
+        """Its way as it is told to others: at no speed where its robot was told to stop on it, and rolls out."""
+        way, mine = self.way, self.robots[self.me]
+        homeward = self.returning.segments(self.robots, self.settings)
+        stops = way is not None and not way.waits and not mine.moving and self.me not in homeward
+        return replace(way, speed_m_s=0.0) if way is not None and stops else way
 
     # -- what happens --------------------------------------------------------------------------------------
 
@@ -93,8 +103,18 @@ class SafetyApart(Safety):
         if way.waits or way.start_m == way.end_m:  # announced only once it stands
             other.stop()
             other.fading = None
+        elif way.speed_m_s == 0.0:  # told to stop: it may stand already, or roll on
+            self._stops(other, way)
         elif other.place_m is not None and (other.target is None or other.target.end_m != way.end_m):
             other.send(Segment(other.place_m, way.end_m, max(way.speed_m_s, 0.01)), other.now_ns)
+
+    def _stops(self, other: Watched, way: Way) -> None:
+        """Another was told to stop on its way: said at every tick until it stands."""
+        known = other.target or other.fading
+        if known is None or known.end_m != way.end_m:
+            start_m = other.place_m or way.start_m
+            other.target = Segment(start_m, way.end_m, self.settings.max_speed_m_s)
+        other.stop()
 
     def _allow_goto(
         self, command: GoTo, new: dict[str, Segment], occupied: dict[str, Occupancy], undecided: set[str]
@@ -103,14 +123,27 @@ class SafetyApart(Safety):
         mine = self.robots.get(command.robot)
         if not isinstance(allowed, GoTo) or mine is None or mine.name != self.me or mine.place_m is None:
             return allowed
-        reason = self._delays(mine, mine.place_m, allowed.waypoint, command.t_ns)
+        reason = self._sent_beside(mine, mine.place_m, allowed.waypoint, occupied)
+        reason = reason or self._delays(mine, mine.place_m, allowed.waypoint, command.t_ns)
         return Hold(command.t_ns, command.robot, reason) if reason else allowed
+
+    def _sent_beside(
+        self, mine: Watched, place_m: Place, target: Waypoint, occupied: dict[str, Occupancy]
+    ) -> str:
+        """Whose new path, given by the same plan, its own comes too near; empty where it keeps clear of all."""
+        new = {
+            command.robot: segment_to(start_m, command.waypoint)
+            for command in self.beside
+            if command.robot in occupied and (start_m := self.robots[command.robot].place_m) is not None
+        }
+        others = {name: occupied[name] for name in new}
+        return conflict(mine, segment_to(place_m, target), new, others, (), self.settings)
 
     # -- one's own way -------------------------------------------------------------------------------------
 
     def _delays(self, mine: Watched, place_m: Place, target: Waypoint, now_ns: int) -> str:
         """Why it may not set out yet; empty where it may, which is then announced."""
-        segment = Segment(place_m, (target.east_m, target.north_m), max(target.speed_m_s, 0.01))
+        segment = segment_to(place_m, target)
         is_announced = self.way is not None and math.dist(self.way.end_m, segment.end_m) <= SAME_END_M
         if reason := self._crosses_waiting(segment, is_announced and self.way is not None and self.way.waits):
             return reason

@@ -125,7 +125,7 @@ class Safety:
             judged.append(self._allow_goto(command, new, occupied, undecided))
             robot, allowed = self.robots.get(command.robot), judged[-1]
             if robot is not None and robot.place_m is not None and isinstance(allowed, GoTo):
-                new[command.robot] = _segment_to(robot.place_m, allowed.waypoint)
+                new[command.robot] = segment_to(robot.place_m, allowed.waypoint)
         return judged
 
     def _note(self, command: Command) -> None:
@@ -134,7 +134,7 @@ class Safety:
         if robot is None:
             return
         if isinstance(command, GoTo) and robot.place_m is not None:
-            robot.send(_segment_to(robot.place_m, command.waypoint), command.t_ns)
+            robot.send(segment_to(robot.place_m, command.waypoint), command.t_ns)
         elif isinstance(command, Hold | Return | Land):
             robot.stop()
 
@@ -311,7 +311,7 @@ class Safety:
         if reason or robot is None or robot.pose is None:
             return Hold(command.t_ns, command.robot, reason)
         clamped = self._clamp(command.waypoint, robot.pose)
-        segment = _segment_to((robot.pose.east_m, robot.pose.north_m), clamped)
+        segment = segment_to((robot.pose.east_m, robot.pose.north_m), clamped)
         if not self.settings.margins.permits(segment.start_m, segment.end_m):
             return Hold(command.t_ns, command.robot, "its path leads out of the fence or onto closed ground")
         if reason := conflict(robot, segment, new, occupied, undecided, self.settings):
@@ -344,6 +344,6 @@ class Safety:
         return Waypoint(east, north, speed, target.up_m)
 
 
-def _segment_to(place_m: Place, waypoint: Waypoint) -> Segment:
+def segment_to(place_m: Place, waypoint: Waypoint) -> Segment:
     """Straight from a place to a way-point."""
     return Segment(place_m, (waypoint.east_m, waypoint.north_m), max(waypoint.speed_m_s, 0.01))

@@ -34,6 +34,10 @@ SLACK_M = 1e-6
 """More than rounding: what a quick look finds this much too far apart is so by a closer one too."""
 CLEAR_OF_NEAR = 1.2
 """A new path keeps so many times the distance that is too near, and two that were too near part as far."""
+OFF_SIGMAS = 3.0
+MOST_CLEAR = 1.5
+"""A new path keeps so many deviations more than too near of what two positions may be off, and no more than so many
+times that distance: who is refused asks again with the next positions, until by chance they seem far enough apart."""
 SOON_S = 4.0
 """How far ahead robots under way are watched: time to order one to stop over a poor link."""
 ALOFT_SHARE = 0.7
@@ -56,6 +60,13 @@ def occupancies(robots: Mapping[str, Watched], settings: SafetySettings) -> dict
     }
 
 
+def clear_m(robot: Watched, other: Watched, settings: SafetySettings) -> float:
+    """How far a new path of `robot` keeps from another."""
+    off_m = math.hypot(*(each.pose.sigma_m for each in (robot, other) if each.pose is not None))
+    near_m = settings.near_m
+    return min(max(CLEAR_OF_NEAR * near_m, near_m + OFF_SIGMAS * off_m), MOST_CLEAR * near_m)
+
+
 def conflict(
     robot: Watched,
     segment: Segment,
@@ -70,12 +81,12 @@ def conflict(
     """
     if robot.name in settings.on_foot:
         return ""
-    limit_m = CLEAR_OF_NEAR * settings.near_m
     swing_m = 2.0 * TURNS_ROUND * settings.turn_radius_m
     turns = _turns(robot, segment, settings)
     for name, occupancy in occupied.items():
         if name == robot.name or name in undecided or are_layered(robot, occupancy.robot, settings):
             continue
+        limit_m = clear_m(robot, occupancy.robot, settings)
         if occupancy.somewhere is not None:
             nearest = ever_m(segment, occupancy.somewhere)
             if nearest < limit_m and not leaves(segment, occupancy.somewhere, limit_m):

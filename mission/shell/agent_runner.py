@@ -98,6 +98,7 @@ class AgentRunner(Runner):
             why = f": {event.reason}" if event.reason else ""
             return Outcome(notes=(f"from another robot: {event.action} {event.robot or 'all'}{why}",))
         outcome = self.crew.agent.step(event)
+        self._apart.beside = self.crew.agent.beside
         self.kernel = self.records.kernel = self.crew.agent.line.kernel
         return outcome
 
@@ -191,7 +192,7 @@ class AgentRunner(Runner):
             self._say(said)
         crew, now_ns = self.crew, self.setup.clock.now_ns()
         crew.journal.write(crew.agent.logs)
-        for message in crew.agent.messages(now_ns, self._apart.way, dict(self._apart.ways)):
+        for message in crew.agent.messages(now_ns, self._apart.announced, dict(self._apart.ways)):
             crew.network.publish(message)
         now_s = self.setup.clock.elapsed_s()
         if now_s - self._card_s >= CARD_EVERY_S:
@@ -232,7 +233,7 @@ class AgentRunner(Runner):
         clock, agent = self.setup.clock, self.crew.agent
         until_s = clock.elapsed_s() + LINGER_S
         while clock.elapsed_s() < until_s and self._somebody_lacks():
-            for message in agent.messages(clock.now_ns(), self._apart.way, self._apart.ways):
+            for message in agent.messages(clock.now_ns(), self._apart.announced, self._apart.ways):
                 self.crew.network.publish(message)
             await clock.sleep(TICK_S)
 

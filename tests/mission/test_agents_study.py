@@ -26,7 +26,7 @@ def row(seed: int, time_s: float | None, **more: Any) -> dict[str, Any]:
 def test_times_are_compared_on_the_seeds_on_which_both_found_all(monkeypatch: pytest.MonkeyPatch) -> None:
     measured = {
         "same": True, "compared": 9, "most_bytes_s": 150.0, "oldest_s": 1.0, "merged_s": 4.0, "nearest_m": 0.5,
-        "ordered_too_near": 0,
+        "ordered_too_near": 0, "could_be_known": 0,
     }  # fmt: skip
     times = {CENTRAL: (100.0, 200.0, None), "full contact": (110.0, None, 50.0)}
 

@@ -101,7 +101,9 @@ class Ground:
             late = not self.slow or (other, name) in self.slow
             at_s = self.t_s + (air.delay_s + air.jitter_s * self.rng.random() if late else 0.05)
             self.number += 1
-            heapq.heappush(self.under_way, (at_s, self.number, other, (name, pose, safety.way, numbers)))
+            heapq.heappush(
+                self.under_way, (at_s, self.number, other, (name, pose, safety.announced, numbers))
+            )
 
     def _hear(self, name: str, message: Message) -> None:
         other, pose, way, numbers = message
@@ -202,3 +204,66 @@ def test_one_that_was_seen_before_it_announced_its_way_may_be_all_along_it() -> 
     safety.expect("r2", late_way, safety.way.number)
     refused = ask(safety, 8.0)
     assert isinstance(refused, Hold) and "may be" in refused.reason
+
+
+# -- orders that nobody has heard of yet -----------------------------------------------------------------------
+
+
+def prompt(sigma_m: float = 0.0) -> SafetyApart:
+    """Safety of r1, which hears the others at once, their positions good to `sigma_m`."""
+    safety = SafetyApart(SETTINGS, me="r1")
+    for name, place in zip(ROBOTS, STARTS_M, strict=True):
+        safety.observe(VehicleState(START_NS, name, "guided", True))
+        safety.observe(Pose(START_NS, name, *place, sigma_m=sigma_m))
+    safety.observe(Tick(START_NS))
+    return safety
+
+
+def order(name: str, east_m: float, north_m: float) -> GoTo:
+    return GoTo(START_NS, name, Waypoint(east_m, north_m, 0.4))
+
+
+def test_that_a_robot_was_told_to_stop_is_said_before_it_stands_and_known_to_all() -> None:
+    stops, hears = SafetyApart(SETTINGS, me="r2"), prompt()
+    stops.observe(VehicleState(START_NS, "r2", "guided", True))
+    stops.observe(Pose(START_NS, "r2", *STARTS_M[1]))
+    stops.observe(Tick(START_NS))
+    assert isinstance(stops.allow(order("r2", 4.0, 4.5)), GoTo)
+    drives = stops.announced
+    assert drives is not None and drives.speed_m_s == 0.4
+    hears.expect("r2", drives)
+    behind = order("r1", 4.6, 1.0)  # it comes to where r2 is now when r2 is long gone
+    assert isinstance(hears.allow(behind), GoTo)
+    assert isinstance(stops.allow(order("r2", math.nan, 1.0)), Hold)
+    told = stops.announced
+    assert told is not None and told.speed_m_s == 0.0 and told.number == drives.number
+    hears = prompt()
+    for _ in range(3):  # it is said at every tick until it stands
+        hears.expect("r2", drives)
+        hears.expect("r2", told)
+    refused = hears.allow(behind)
+    assert isinstance(refused, Hold) and "of r2" in refused.reason
+    assert not hears.robots["r2"].moving and hears.robots["r2"].segments()[0].end_m == drives.end_m
+    assert isinstance(stops.allow(order("r2", 4.0, 4.5)), GoTo) and stops.announced == drives
+
+
+def test_of_two_that_the_plan_sends_across_each_other_the_later_one_waits() -> None:
+    crossing = order("r3", 2.5, 0.4)
+    assert isinstance(prompt().allow(order("r1", 3.0, 1.0)), GoTo)
+    safety = prompt()
+    safety.beside = (crossing,)
+    refused = safety.allow(order("r1", 3.0, 1.0))
+    assert isinstance(refused, Hold) and "of r3" in refused.reason
+    assert not safety.robots["r3"].moving, "whether it goes its own agent decides"
+
+
+@pytest.mark.parametrize(
+    ("sigma_m", "clear_m"),
+    [(0.0, 0.36), (0.014, 0.36), (0.03, 0.3 + 3.0 * math.hypot(0.03, 0.03)), (1.0, 0.45)],
+)
+def test_a_new_path_keeps_off_by_what_positions_may_be_off(sigma_m: float, clear_m: float) -> None:
+    """Past r2, which stands at (4, 1)."""
+    for more_m, kind in ((-0.01, Hold), (0.01, GoTo)):
+        safety = prompt(sigma_m)
+        safety.observe(Pose(START_NS + 1, "r1", 1.0, 1.0 + clear_m + more_m, sigma_m=sigma_m))
+        assert isinstance(safety.allow(order("r1", 4.6, 1.0 + clear_m + more_m)), kind)

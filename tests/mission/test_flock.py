@@ -263,3 +263,23 @@ def test_others_go_where_they_say_not_where_one_thinks() -> None:
 def test_a_contact_range_must_leave_room_to_stop() -> None:
     assert least_contact_m(SAFETY) == pytest.approx(0.5 + 2 * 0.4 * 2.0)
     assert least_contact_m(replace(SAFETY, braking_m=1.0)) == pytest.approx(4.1)
+
+
+def test_an_agent_tells_its_safety_where_the_plan_sends_those_before_it() -> None:
+    """And, where it comes to another line, where that has sent them: they may come to it at the same tick."""
+    team = flock()
+    sent: dict[str, tuple[str, ...]] = {}
+    while len(sent) < len(ROBOTS):
+        team.step()
+        for name, each in team.agents.items():
+            if each.target is not None:
+                sent.setdefault(name, tuple(other.robot for other in team.safety[name].beside))
+    assert sent["r1"] == () and sent["r2"] == ("r1",)
+    last = team.agents["r4"]
+    last.lines.follows = False  # as after a switch
+    last.step(Tick(team.now_ns("r4")))
+    assert {each.robot for each in last.beside} == {"r1", "r2", "r3"}
+    first = team.agents["r1"]
+    first.lines.follows = False
+    first.step(Tick(team.now_ns("r1")))
+    assert first.beside == ()

@@ -151,6 +151,7 @@ def trial(job: Job) -> dict[str, Any]:
         "merged_s": flown.merged_s,
         "nearest_m": flown.nearest_m,
         "ordered_too_near": flown.ordered_too_near,
+        "could_be_known": flown.could_be_known,
     }
 
 
@@ -177,6 +178,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "merged_within_s": max(merged, default=None),
         "nearest_m": round(min(row["nearest_m"] for row in rows), 2),
         "ordered_too_near": int(sum(row["ordered_too_near"] for row in rows)),
+        "could_be_known": int(sum(row["could_be_known"] for row in rows)),
     }
 
 

@@ -104,7 +104,8 @@ class Watch:
             "rings": len(self.rings),
             "rings_alike": sum(len(ends) == 1 for ends in self.rings.values()),
             "same_belief": flock.agrees(),
-            "ordered_too_near": flock.ordered_too_near,
+            "ordered_too_near": flock.too_near.orders,
+            "could_be_known": flock.too_near.could_be_known,
             "simulated_s": flock.world.t_s,
         }
 
