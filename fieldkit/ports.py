@@ -203,8 +203,12 @@ class Network(_Opened, Protocol):
         """Send to all in reach. Waits for nobody; what cannot leave is lost. Urgent messages go before others."""
         ...
 
+    def greet(self, data: bytes) -> None:
+        """Send to all in reach, of whatever topic: who is here. As `publish` otherwise."""
+        ...
+
     def messages(self) -> AsyncIterator[bytes]:
-        """What others publish, as it comes. Ends when the network is closed."""
+        """What others of the topic publish, and all greetings, as it comes. Ends when the network is closed."""
         ...
 
 

@@ -140,8 +140,10 @@ AGENT_BYTES_S = Quantity(1_400.0, 100.0, 1e6, "B/s", "what one robot's agent sen
 """Four of them fit on a telemetry radio of 57.6 kbit/s."""
 AGENT_ABSENT_S = 12.0
 """A robot of which nothing is known for so long is out of contact: the others plan on without its word."""
-AGENT_WAIT_S = 60.0
-"""At the start an agent waits so long for robots of which nothing is heard, then goes on without them."""
+AGENT_WAIT_S = Quantity(
+    60.0, 0.0, 3_600.0, "s", "at the start an agent waits so long for robots that nobody has heard of"
+)
+"""Then it goes on without them."""
 
 # -- the end -------------------------------------------------------------------------------------------------
 

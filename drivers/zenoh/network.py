@@ -15,6 +15,8 @@ from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.extras import need
 from fieldkit.ports import DriverContext
 
+GREETINGS = "fieldkit/who-is-here"
+"""Where all missions say who they are: those of two keys, which hear nothing else of each other, learn of it."""
 MOST_WAITING = 1_000
 """Messages that wait for the event loop; the oldest go first."""
 
@@ -56,8 +58,9 @@ class ZenohNetwork:
             raise DeviceError(
                 f"network zenoh: cannot be opened ({error}); is an address wrong, or in use?"
             ) from error
-        self._urgent = self._publisher(zenoh, zenoh.Priority.REAL_TIME, express=True)
-        self._ordinary = self._publisher(zenoh, zenoh.Priority.DATA, express=False)
+        self._urgent = self._publisher(zenoh, self._key, zenoh.Priority.REAL_TIME, express=True)
+        self._ordinary = self._publisher(zenoh, self._key, zenoh.Priority.DATA, express=False)
+        self._greetings = self._publisher(zenoh, GREETINGS, zenoh.Priority.DATA, express=False)
 
         def heard(sample: Any) -> None:
             data = sample.payload.to_bytes()
@@ -66,9 +69,10 @@ class ZenohNetwork:
             except RuntimeError:  # the loop has been closed
                 return
 
-        self._subscriber = self._session.declare_subscriber(
-            self._key, heard, allowed_origin=zenoh.Locality.REMOTE
-        )
+        self._subscribers = [
+            self._session.declare_subscriber(key, heard, allowed_origin=zenoh.Locality.REMOTE)
+            for key in (self._key, GREETINGS)
+        ]
         return self
 
     async def __aexit__(
@@ -84,6 +88,11 @@ class ZenohNetwork:
         if self._session is not None:
             (self._urgent if urgent else self._ordinary).put(data)
 
+    def greet(self, data: bytes) -> None:
+        """See `Network`."""
+        if self._session is not None:
+            self._greetings.put(data)
+
     async def messages(self) -> AsyncIterator[bytes]:
         """See `Network`."""
         while (data := await self._waiting.get()) is not None:
@@ -94,10 +103,10 @@ class ZenohNetwork:
             self._waiting.get_nowait()
         self._waiting.put_nowait(data)
 
-    def _publisher(self, zenoh: Any, priority: Any, *, express: bool) -> Any:
+    def _publisher(self, zenoh: Any, key: str, priority: Any, *, express: bool) -> Any:
         drop = zenoh.CongestionControl.DROP
         return self._session.declare_publisher(
-            self._key, congestion_control=drop, priority=priority, express=express
+            key, congestion_control=drop, priority=priority, express=express
         )
 
     def _config(self, zenoh: Any) -> Any:

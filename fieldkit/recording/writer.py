@@ -278,7 +278,7 @@ class RecordingWriter:
     def _mind_the_clock(self, log_ns: int) -> None:
         """Note a clock that was set, and measure from its new time: chunks must be closed all the same."""
         step_ns = log_ns - self._now_ns
-        if self._events and (step_ns < -STEP_BACK_NS or step_ns > STEP_AHEAD_NS):
+        if self._events and not self.failure and (step_ns < -STEP_BACK_NS or step_ns > STEP_AHEAD_NS):
             self._guard(self._sync)
             self._now_ns = self._sync_ns = log_ns
             way = "ahead" if step_ns > 0 else "back"

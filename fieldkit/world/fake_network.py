@@ -74,6 +74,10 @@ class FakeNetwork:
         if self._open:
             self._ether.send(self._name, data)
 
+    def greet(self, data: bytes) -> None:
+        """See `Network`. All of one ether hear all."""
+        self.publish(data)
+
     async def messages(self) -> AsyncIterator[bytes]:
         """See `Network`."""
         while (data := await self._waiting.get()) is not None:

@@ -70,6 +70,14 @@ def agent(
         float | None,
         typer.Option(help="Robots hear each other within so many metres, for sure; else nothing is assumed."),
     ] = None,
+    wait_s: Annotated[
+        float,
+        typer.Option(
+            min=given.AGENT_WAIT_S.low,
+            max=given.AGENT_WAIT_S.high,
+            help="Wait so long at the start for robots that nobody has heard of, then go on without them.",
+        ),
+    ] = given.AGENT_WAIT_S.default,
     bytes_s: Annotated[
         float,
         typer.Option(
@@ -140,7 +148,7 @@ def agent(
         return
     setup = setups.of_robot(mission, robot, clock)
     resumed = interrupted(out, card)
-    options = Options(robot, secret, contact_m, bytes_s, override, resumed)
+    options = Options(robot, secret, contact_m, bytes_s, override, wait_s, resumed)
     may_be_shown(page, page_host, page_port)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     with before_the_start():

@@ -65,7 +65,7 @@ class Agent:
     beside: tuple[GoTo, ...] = ()
     """Where the line that it acts on sends others at this tick: those before its own robot, or all where that is only
     given what it was refused. The later one gives way: its safety is told of the others', theirs is not of its."""
-    patience_s: float = AGENT_WAIT_S
+    patience_s: float = AGENT_WAIT_S.default
     """So long after its first tick it waits for robots that nobody has heard of."""
     _obeyed: set[Operator] = field(default_factory=set)
     _held_ns: int = 0
@@ -242,14 +242,6 @@ class Agent:
         names = list(last)
         before = names[: names.index(self.me)] if self.me in last else names
         return tuple(each for name in before if isinstance(each := last[name], GoTo))
-
-    def present(self, now_ns: int) -> tuple[str, ...]:
-        """Robots in contact, over others too: those of which everything is known up to a few seconds ago."""
-        return self.lines.present(now_ns)
-
-    def ages_s(self, now_ns: int) -> dict[str, float]:
-        """How old what is known of each other robot is; infinite where nothing is."""
-        return self.lines.ages_s(now_ns)
 
     def _standing(self, now_ns: int) -> dict[str, list[Command]]:
         """What a line that it now acts on has robots do."""

@@ -26,7 +26,7 @@ class Lines:
     settings: KernelSettings
     logs: Logs
     most_ticks: int = CATCH_UP_TICKS
-    patience_s: float = AGENT_WAIT_S
+    patience_s: float = AGENT_WAIT_S.default
     """So long after its first tick it waits for robots that nobody has heard of."""
     common: Timeline = field(init=False)
     """What everybody agrees on."""

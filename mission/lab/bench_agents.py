@@ -138,7 +138,9 @@ async def _met(members: dict[str, _Member]) -> None:
     while wall_s() < until_s:
         agents = [member.runner.crew.agent for member in members.values()]
         now_ns = RealClock().now_ns()
-        if all(len(agent.present(now_ns)) == len(members) and agent.common.horizon > 0 for agent in agents):
+        if all(
+            len(agent.lines.present(now_ns)) == len(members) and agent.common.horizon > 0 for agent in agents
+        ):
             return
         for member in members.values():
             if member.flying.done():

@@ -49,6 +49,8 @@ class Options:
     contact_m: float | None
     bytes_s: float
     override: str = ""
+    wait_s: float = given.AGENT_WAIT_S.default
+    """So long it waits at the start for robots that nobody has heard of."""
     resumed: Path | None = None
     """The journal of a flight that was interrupted."""
 
@@ -107,7 +109,7 @@ def make_agent(mission: Mission, card: Card, options: Options) -> Agent:
     if options.resumed is not None:
         journals.load(options.resumed, logs)
     seal = Seal(session_key(options.key, card.common), robots.index(card.robot))
-    return Agent(mission.kernel, Talk(logs, seal, options.bytes_s))
+    return Agent(mission.kernel, Talk(logs, seal, options.bytes_s), patience_s=options.wait_s)
 
 
 def head_of(card: Card, key: bytes) -> journals.Head:

@@ -24,9 +24,10 @@ from mission.core.fleet import Fleet, Robot
 from mission.core.kernel import Kernel, Outcome
 from mission.safety.apart import SafetyApart
 from mission.safety.rules import Safety
+from mission.shell.alarms import unrecorded
 from mission.shell.chronicle import Chronicle
 from mission.shell.journal import Journal
-from mission.shell.others import Refused, TeamClock
+from mission.shell.others import Contacts, Refused, TeamClock
 from mission.shell.runner import Runner
 
 logger = logging.getLogger(__name__)
@@ -66,9 +67,7 @@ class AgentRunner(Runner):
         self._foreign: list[Operator] = []
         """Orders of others that are in the inbox."""
         self._others = Refused()
-        self._present: set[str] = set()
-        self._ages_s: dict[str, float] = {}
-        """How old what was known of each other robot was at the last tick."""
+        self._contacts = Contacts(self.crew.agent.lines)
         self._card_s = -math.inf
         self._clock = TeamClock(self.setup.clock, self.crew.agent.talk)
         super().__post_init__()
@@ -124,7 +123,7 @@ class AgentRunner(Runner):
         async for data in crew.network.messages():
             now_ns = self.setup.clock.now_ns()
             if data.startswith(MARK):
-                self._meet(read_card(crew.key, data), now_ns)
+                self._meet(data, now_ns)
                 continue
             for order in agent.take(data, now_ns):
                 self._foreign.append(order)
@@ -148,11 +147,12 @@ class AgentRunner(Runner):
         assert isinstance(self.safety, SafetyApart)
         return self.safety
 
-    def _meet(self, card: Card | None, now_ns: int) -> None:
+    def _meet(self, data: bytes, now_ns: int) -> None:
         """Another agent says who it is. Raises `ConfigError` where it has our robot already."""
-        mine = self.crew.card
+        mine, card = self.crew.card, read_card(self.crew.key, data)
         if card is None:
-            self._others.strangers += 1
+            if said := self._others.other_mission(mine, data):
+                self._say(said)
             return
         if not clock_refusal(card, now_ns) and is_second(mine, card):
             raise ConfigError(
@@ -162,6 +162,11 @@ class AgentRunner(Runner):
         twin = f"a second agent for {mine.robot}, on {card.host}, has to end" if is_twin else ""
         if said := self._others.news(mine, card, now_ns, twin):
             self._say(said)
+
+    def alarms(self) -> list[str]:
+        """Those of any mission, and what of this robot's own files has failed: the others have what it observes."""
+        common = "" if self.crew.common is None else self.crew.common.failure
+        return [*super().alarms(), *unrecorded((common, self.crew.journal.failure))]
 
     # -- what goes out -------------------------------------------------------------------------------------
 
@@ -184,7 +189,8 @@ class AgentRunner(Runner):
         await super()._step(number, t_ns, event, pool)
         if isinstance(event, Tick):
             self._speak()
-            self._mind_contact()
+            for said in self._contacts.news(self.setup.clock.now_ns()):
+                self._say(said)
 
     def _speak(self) -> None:
         """What is new goes to the journal, and then to the others."""
@@ -199,23 +205,12 @@ class AgentRunner(Runner):
             self._card_s = now_s
             card = replace(crew.card, sent_ns=now_ns).to_bytes(crew.key)
             crew.agent.talk.sent["card"] += len(card)
-            crew.network.publish(card)
+            crew.network.greet(card)
         if crew.agent.talk.lost:
             raise RecordingError(
                 f"the others know more of {self.me} than its own journal, so its log cannot be gone on with: start its "
                 "agent anew while others are in reach, and it gets its log back from them"
             )
-
-    def _mind_contact(self) -> None:
-        """Say who has gone out of contact, and who has come back."""
-        agent, now_ns = self.crew.agent, self.setup.clock.now_ns()
-        self._ages_s = agent.ages_s(now_ns)
-        present = set(agent.present(now_ns)) - {self.me}
-        for name in sorted(self._present - present):
-            self._say(f"{name} is out of contact: what is known of it is {self._ages_s[name]:.0f} s old")
-        for name in sorted(present - self._present):
-            self._say(f"{name} is in contact")
-        self._present = present
 
     def _carry_out(self, command: Command) -> None:
         """Its own robot's commands alone are its own to give."""
@@ -253,9 +248,7 @@ class AgentRunner(Runner):
     def result(self) -> dict[str, Any]:
         """How it ended, and what was said and heard."""
         agent, talk = self.crew.agent, self.crew.agent.talk
-        ages = {
-            name: round(age_s, 1) if math.isfinite(age_s) else None for name, age_s in self._ages_s.items()
-        }
+        ages_s = self._contacts.ages_s
         return super().result() | {
             "robot": self.me,
             "common_hash": agent.common.kernel.digest(),
@@ -264,5 +257,5 @@ class AgentRunner(Runner):
             "bytes_heard": talk.heard_bytes,
             "dropped": dict(talk.seal.dropped)
             | {"strangers": self._others.strangers, "unreadable": talk.refused},
-            "age_s": ages,
+            "age_s": {name: round(s, 1) if math.isfinite(s) else None for name, s in ages_s.items()},
         }

@@ -1,7 +1,7 @@
 """Alarms while no tick shows them: vehicles are still being acquired, and one may have been ordered to stop."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 
 from fieldkit.clock import Clock
@@ -15,6 +15,11 @@ def late_stops(unconfirmed: Mapping[str, float]) -> list[str]:
     """Robots that have been ordered to stop, and for so many seconds have not shown it."""
     late = {name: late_s for name, late_s in unconfirmed.items() if late_s >= LATE_STOP_S}
     return [f"{name} has not shown for {late_s:.0f} s that it holds" for name, late_s in late.items()]
+
+
+def unrecorded(failures: Iterable[str]) -> list[str]:
+    """What is not written down any more, of several files, by why each has failed; "" where one has not."""
+    return [f"NOT ALL IS RECORDED: {each}" for each in failures if each]
 
 
 @asynccontextmanager

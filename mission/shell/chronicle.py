@@ -18,6 +18,11 @@ class Chronicle:
         self._records = MissionRecorder(kernel, kernel.settings.engine.grid.cell_m, writer)
         self.steps = 0
 
+    @property
+    def failure(self) -> str:
+        """Why nothing is written any more; empty while it is."""
+        return self._writer.failure
+
     def step(self, t_ns: int, event: Event, outcome: Outcome) -> list[Command]:
         """An event that was stepped and what it led to; what safety lets pass of that."""
         records = self._records

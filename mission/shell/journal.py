@@ -87,8 +87,11 @@ class Journal:
         if self.failure or self._file < 0:
             return
         body = bytes((kind,)) + data
+        record = _HEAD.pack(len(body), zlib.crc32(body)) + body
         try:
-            os.write(self._file, _HEAD.pack(len(body), zlib.crc32(body)) + body)
+            # A disk with little left takes a part and says nothing: the next write then says why it cannot go on.
+            while record:
+                record = record[os.write(self._file, record) :]
         except OSError as error:
             self.failure = f"{self.path}: cannot be written: {error.strerror or error}"
             logger.error(

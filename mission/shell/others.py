@@ -1,10 +1,15 @@
 """Who else is there, said once: those that do not belong to the team, and a clock that is not the team's."""
 
+import math
 from dataclasses import dataclass, field
 
 from fieldkit.clock import Clock, RealClock
-from fieldkit.engine.decentralised.card import Card, clock_refusal, refusal
+from fieldkit.engine.decentralised.card import Card, clock_refusal, refusal, stranger
 from fieldkit.engine.decentralised.talk import Talk
+from mission.core.lines import Lines
+
+MOST_MISSIONS = 5
+"""So many other missions are named: what those say of themselves anybody may have made up."""
 
 
 @dataclass
@@ -14,6 +19,21 @@ class Refused:
     strangers: int = 0
     """Cards that were signed with another key."""
     _said: set[tuple[str, bool]] = field(default_factory=set)
+    _missions: set[str] = field(default_factory=set)
+
+    def other_mission(self, mine: Card, data: bytes) -> str:
+        """What is to be said of a card that was signed with another key; empty where its mission was named before."""
+        self.strangers += 1
+        mission, who = stranger(data)
+        if not mission or mission in self._missions or len(self._missions) >= MOST_MISSIONS:
+            return ""
+        self._missions.add(mission)
+        if mission == mine.mission:
+            return (
+                f"{who} is of a mission of the same name, {mission!r}, and has another key: it is not heard; where "
+                "both are one mission, copy the same mission.key to all"
+            )
+        return f"another mission is on this network, {mission!r} ({who}): neither hears the other"
 
     def news(self, mine: Card, card: Card, now_ns: int, otherwise: str = "") -> str:
         """Why the card's owner is not heard, or `otherwise`; empty where there is nothing, or that was said before."""
@@ -24,6 +44,36 @@ class Refused:
             return ""
         self._said.add(said)
         return reason
+
+
+@dataclass
+class Contacts:
+    """Who is heard now, and who no longer, each said once."""
+
+    lines: Lines
+    present: set[str] = field(default_factory=set)
+    """Robots in contact at the last look, over others too; never one's own."""
+    ages_s: dict[str, float] = field(default_factory=dict)
+    """How old what was known of each other robot was then; infinite where nothing was."""
+    _without: set[str] = field(default_factory=set)
+
+    def news(self, now_ns: int) -> list[str]:
+        """What has changed since the last look, in words."""
+        lines = self.lines
+        self.ages_s = lines.ages_s(now_ns)
+        present, before = set(lines.present(now_ns)) - {lines.logs.me}, self.present
+        said = [
+            f"{name} is out of contact: what is known of it is {self.ages_s[name]:.0f} s old"
+            for name in sorted(before - present)
+        ]
+        said += [f"{name} is in contact" for name in sorted(present - before)]
+        never = {name for name, age_s in self.ages_s.items() if math.isinf(age_s)}
+        without = never - set(lines.line.members) if lines.line is not lines.common else set()
+        if lines.logs.me and without - self._without:
+            alone = "alone" if len(lines.line.members) == 1 else "without them"
+            said.append(f"nothing was heard of {', '.join(sorted(without))}: it goes on {alone}")
+        self.present, self._without = present, without
+        return said
 
 
 @dataclass

@@ -26,11 +26,11 @@ from mission.core.mission_file import Mission
 from mission.core.watcher import Watcher
 from mission.safety.rules import Safety
 from mission.shell.agent_runner import CARD_EVERY_S
-from mission.shell.alarms import late_stops
+from mission.shell.alarms import late_stops, unrecorded
 from mission.shell.chronicle import Chronicle
 from mission.shell.intake import end_tasks
 from mission.shell.journal import RESUME_WITHIN_S, Journal
-from mission.shell.others import Refused, TeamClock
+from mission.shell.others import Contacts, Refused, TeamClock
 from mission.shell.progress import Progress
 from mission.shell.recorder import Look, MissionRecorder
 from mission.shell.setups import Setup
@@ -100,7 +100,7 @@ class Watching:
         self._ended = asyncio.Event()
         self._others = Refused()
         self._clock = TeamClock(self.clock, self.watcher.talk)
-        self._present: set[str] = set()
+        self._contacts = Contacts(self.watcher.lines)
         self._doing: dict[str, str] = {}
         self._card_s = -math.inf
         self._has_begun = False
@@ -161,7 +161,7 @@ class Watching:
         async for data in self.network.messages():
             now_ns = self.clock.now_ns()
             if data.startswith(MARK):
-                self._meet(read_card(self.key, data), now_ns)
+                self._meet(data, now_ns)
                 continue
             for order in watcher.take(data, now_ns):
                 self._ordered(order, now_ns)
@@ -170,11 +170,12 @@ class Watching:
                     follower.event(0, event.t_ns, event)
             watcher.fresh.clear()
 
-    def _meet(self, card: Card | None, now_ns: int) -> None:
+    def _meet(self, data: bytes, now_ns: int) -> None:
         """Another member says who it is."""
-        mine = self.card
+        mine, card = self.card, read_card(self.key, data)
         if card is None:
-            self._others.strangers += 1
+            if said := self._others.other_mission(mine, data):
+                self._say(said)
             return
         if not clock_refusal(card, now_ns) and is_second(mine, card):
             number = draw_number()
@@ -212,8 +213,9 @@ class Watching:
                 self.network.publish(message)
             if now_s - self._card_s >= CARD_EVERY_S:
                 self._card_s = now_s
-                self.network.publish(replace(self.card, sent_ns=now_ns).to_bytes(self.key))
-            self._mind_contact(now_ns)
+                self.network.greet(replace(self.card, sent_ns=now_ns).to_bytes(self.key))
+            for said in self._contacts.news(now_ns):
+                self._say(said)
             self._pass(now_ns)
             await self.clock.sleep(TICK_S)
 
@@ -223,15 +225,6 @@ class Watching:
             self.records.event(0, now_ns, Tick(now_ns))
         elif self.page is not None:
             self.page.follower.waits(now_ns)
-
-    def _mind_contact(self, now_ns: int) -> None:
-        """Say who is in contact now, and who no longer."""
-        ages_s, present = self.watcher.lines.ages_s(now_ns), set(self.watcher.lines.present(now_ns))
-        for name in sorted(self._present - present):
-            self._say(f"{name} is out of contact: what is known of it is {ages_s[name]:.0f} s old")
-        for name in sorted(present - self._present):
-            self._say(f"{name} is in contact")
-        self._present = present
 
     def _say(self, text: str) -> None:
         logger.warning(text)
@@ -293,17 +286,17 @@ class Watching:
         return {
             name: f"out of contact: {_age(ages_s[name])}"
             for name in self.watcher.logs.robots
-            if name not in self._present
+            if name not in self._contacts.present
         }
 
     def alarms(self) -> Sequence[str]:
         """Who is to hold and has not shown it, orders that nobody has yet, a recording that has stopped."""
         now_ns, orders = self.clock.now_ns(), self.watcher.orders
         late = late_stops({name: (now_ns - each.t_ns) * 1e-9 for name, each in orders.unheld().items()})
-        failures = [each for each in (self.recorder.failure, self.journal.failure) if each]
+        failures = unrecorded((self.recorder.failure, self.journal.failure))
         alone = bool(orders.waiting) and not self.watcher.talk.in_range(now_ns)
         waiting = [f"nobody has got it yet: {_words(order)}" for order in orders.waiting] if alone else []
-        return [*late, *waiting, *(f"NOT ALL IS RECORDED: {each}" for each in failures)]
+        return [*late, *waiting, *failures]
 
     # -- the end -------------------------------------------------------------------------------------------
 

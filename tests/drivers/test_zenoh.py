@@ -59,6 +59,17 @@ async def test_what_one_publishes_the_others_hear_once_and_no_other_topic() -> N
                 await task
 
 
+async def test_greetings_are_heard_by_those_of_another_topic_too() -> None:
+    port = free_port()
+    async with peer("here", listen=port) as one, peer("there", connect=port) as stranger:
+        hears = asyncio.create_task(first(stranger))
+        while not hears.done():
+            one.publish(b"for its own")
+            one.greet(b"who I am")
+            await asyncio.wait({hears}, timeout=0.1)
+        assert await hears == b"who I am"
+
+
 async def test_a_peer_that_comes_later_is_found() -> None:
     port = free_port()
     async with peer("here", connect=port) as early:

@@ -12,7 +12,7 @@ import pytest
 
 from fieldkit import jumploop
 from fieldkit.clock import RealClock
-from fieldkit.engine.decentralised.card import Card, clock_refusal, is_second, read_card, refusal
+from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second, read_card, refusal
 from fieldkit.engine.decentralised.logs import Logs
 from fieldkit.errors import ConfigError
 from fieldkit.jumploop import LoopClock
@@ -33,6 +33,7 @@ from mission.shell.agent_flight import Options, card_of, head_of, interrupted, m
 from mission.shell.agent_runner import AgentRunner, Crew
 from mission.shell.chronicle import Chronicle
 from mission.shell.hold_all import hold_all
+from mission.shell.others import MOST_MISSIONS, Refused
 from mission.shell.setups import Setup, start_places
 
 START_NS = 1_800_000_000 * 10**9
@@ -323,6 +324,22 @@ def test_others_are_refused_by_name(tmp_path: Path) -> None:
     assert is_second(card(mission), mine) and not is_second(mine, mine)
 
 
+def test_those_with_another_key_are_named_once_a_mission_and_not_without_end(tmp_path: Path) -> None:
+    mission = small_mission(tmp_path, robots=2)
+    mine, others = card(mission), Refused()
+    orchard = replace(card(mission, "r2"), mission="orchard\x1b[2J\n" + 60 * "x")
+    said = others.other_mission(mine, orchard.to_bytes(bytes(32)))
+    assert said.startswith("another mission is on this network, 'orchard[2Jxx") and "(r2 on box)" in said
+    assert said.isprintable() and len(said) < 200
+    assert others.other_mission(mine, orchard.to_bytes(bytes(32))) == ""
+    same = card(mission, "r2").to_bytes(bytes(32))
+    assert "r2 on box is of a mission of the same name" in others.other_mission(mine, same)
+    assert others.other_mission(mine, MARK + b"no card") == others.other_mission(mine, b"") == ""
+    more = [replace(orchard, mission=f"m{k}").to_bytes(bytes(32)) for k in range(20)]
+    assert sum(bool(others.other_mission(mine, data)) for data in more) == MOST_MISSIONS - 2
+    assert others.strangers == 25
+
+
 def test_a_card_is_read_by_those_who_have_the_key_and_not_for_long(tmp_path: Path) -> None:
     now_ns = RealClock().now_ns()
     mine = replace(card(small_mission(tmp_path)), sent_ns=now_ns)
@@ -397,3 +414,21 @@ def test_a_disk_that_fails_is_said_once_and_the_agent_goes_on(
     assert (
         "cannot be written: No space left" in journal.failure and caplog.text.count("cannot be written") == 1
     )
+
+
+def test_a_disk_that_takes_a_part_of_a_record_gets_the_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission = small_mission(tmp_path, robots=2)
+    agent = make_agent(mission, card(mission), Options("r1", KEY, None, 1400.0))
+    write = os.write
+    monkeypatch.setattr("mission.shell.journal.os.write", lambda file, data: write(file, data[:7]))
+    journal = journals.Journal(tmp_path / journals.NAME)
+    journal.begin(journals.Head("r1", "x"))
+    agent.step(Tick(START_NS))
+    agent.step(Operator(START_NS, "hold"))
+    journal.write(agent.logs)
+    journal.end()
+    journal.close()
+    assert journal.failure == "" and journals.is_ended(journal.path)
+    assert journals.load(journal.path, Logs("r1", agent.logs.robots)) == (1, "")

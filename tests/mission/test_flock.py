@@ -86,7 +86,7 @@ def test_a_network_in_two_goes_on_as_two_and_becomes_one_again() -> None:
     assert r1.line.members == ("r1", "r2") and r3.line.members == ("r3", "r4")
     assert r1.line.kernel.digest() == r2.line.kernel.digest(), "those in contact agree"
     assert r1.line.horizon > r1.common.horizon + 60
-    age = r1.ages_s(team.now_ns("r1"))
+    age = r1.lines.ages_s(team.now_ns("r1"))
     assert age["r2"] < 2.0 and 40.0 < age["r3"] < 60.0
     go_on(team, 25.0)
     assert all(agent.line is agent.common for agent in team.agents.values())
@@ -98,7 +98,7 @@ def test_the_others_go_on_when_an_agent_dies() -> None:
     team.kill("r4")
     go_on(team, AGENT_ABSENT_S + 8.0)
     r1 = team.agents["r1"]
-    assert r1.line.members == ("r1", "r2", "r3") and r1.ages_s(team.now_ns("r1"))["r4"] > AGENT_ABSENT_S
+    assert r1.line.members == ("r1", "r2", "r3") and r1.lines.ages_s(team.now_ns("r1"))["r4"] > AGENT_ABSENT_S
     before = {name: (rover.east_m, rover.north_m) for name, rover in team.world.rovers.items()}
     go_on(team, 15.0)
     moved = {n: math.dist(before[n], (r.east_m, r.north_m)) for n, r in team.world.rovers.items()}
@@ -164,7 +164,7 @@ def test_an_agent_that_hears_nobody_waits_and_then_goes_on_alone() -> None:
     one = agent(patience_s=5.0)
     assert run_alone(one, 4) == []
     assert {command.robot for command in run_alone(agent(patience_s=0.0), 4)} == {"r1"}
-    assert one.ages_s(START_NS)["r2"] == math.inf and one.common.horizon < 0
+    assert one.lines.ages_s(START_NS)["r2"] == math.inf and one.common.horizon < 0
 
 
 def test_an_agent_logs_its_own_robot_alone_and_not_more_than_is_needed() -> None:

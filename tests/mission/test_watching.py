@@ -251,7 +251,7 @@ def test_what_one_robot_cannot_hear_from_the_other_the_laptop_carries(tmp_path: 
         ether._places_m = lambda: {**places(), "r2": (100.0, 0.0)}
         flights = asyncio.create_task(both(team))
         watching = asyncio.create_task(laptop.watch())
-        await until(r1, lambda: not any(map(stands, team.values())), AGENT_WAIT_S + 20.0)
+        await until(r1, lambda: not any(map(stands, team.values())), AGENT_WAIT_S.default + 20.0)
         assert r1.runner is not None
         r1.runner.put(Operator(r1.clock.now_ns(), "hold", None, "at r1"))
         await r1.clock.sleep(4.0)

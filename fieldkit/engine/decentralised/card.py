@@ -7,10 +7,12 @@ mission file and the version too (`sealing.session_key`): they could not even re
 import json
 from dataclasses import asdict, dataclass, fields, replace
 
-from fieldkit.engine.decentralised.sealing import STALE_S, session_key, signed, unsigned
+from fieldkit.engine.decentralised.sealing import MAC_BYTES, STALE_S, session_key, signed, unsigned
 
 MARK = b"\x00card"
 """No other message begins so: kinds of those are not 0."""
+LONGEST_WORD = 40
+"""Of what strangers call themselves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +46,10 @@ class Card:
 def read_card(key: bytes, data: bytes) -> Card | None:
     """The card in a message; None where there is none of this key."""
     said = unsigned(session_key(key, "card"), data) if data.startswith(MARK) else None
-    if said is None:
-        return None
+    return None if said is None else _parsed(said)
+
+
+def _parsed(said: bytes) -> Card | None:
     try:
         values = dict(
             zip((each.name for each in fields(Card)), json.loads(said.removeprefix(MARK)), strict=True)
@@ -54,6 +58,23 @@ def read_card(key: bytes, data: bytes) -> Card | None:
         return replace(card, sent_ns=int(card.sent_ns))
     except (ValueError, TypeError):
         return None
+
+
+def stranger(data: bytes) -> tuple[str, str]:
+    """What a card of another key says of itself: its mission, and its robot and computer. Anybody may have written it.
+
+    No longer than a line, and without anything that a terminal would obey; both empty where it is no card.
+    """
+    card = _parsed(data[:-MAC_BYTES]) if data.startswith(MARK) else None
+    if card is None:
+        return "", ""
+    mission, robot, host = (_tame(each) for each in (card.mission, card.robot, card.host))
+    return mission, f"{robot} on {host}"
+
+
+def _tame(text: object) -> str:
+    said = str(text)
+    return "".join(each for each in said[:LONGEST_WORD] if each.isprintable()) or "?"
 
 
 def clock_refusal(card: Card, now_ns: int) -> str:
