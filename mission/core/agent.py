@@ -7,7 +7,7 @@ some are out of contact it follows the one of those that are not.
 An agent logs only what its own robot observes, and of every robot's commands it gives on its own robot's alone.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Logs, Observation
@@ -16,12 +16,10 @@ from fieldkit.engine.decentralised.talk import Talk, code_of
 from fieldkit.engine.decentralised.ways import Way
 from fieldkit.messages import (
     Command,
-    Detection,
     EndMission,
     Event,
     GoTo,
     Operator,
-    Plan,
     Pose,
     ReceiverState,
     RssReading,
@@ -32,7 +30,7 @@ from fieldkit.messages import (
 from fieldkit.settings import AGENT_WAIT_S
 from mission.core.kernel import NOTHING, Outcome
 from mission.core.kernel_settings import KernelSettings
-from mission.core.lines import Lines
+from mission.core.lines import Lines, gathered
 from mission.core.timeline import Timeline
 
 POSE_EVERY_S = 0.45
@@ -230,7 +228,9 @@ class Agent:
                 self.beside += tuple(
                     each for name in before for each in standing.get(name, ()) if isinstance(each, GoTo)
                 )
-        return self._of(now_ns, commands, outcomes)
+        last = {getattr(each, "robot", ""): replace(each, t_ns=now_ns) for each in commands}
+        self._asked_ns = now_ns if last else self._asked_ns
+        return gathered(last.values(), outcomes)
 
     def _sent_before(self, planned: list[Command]) -> tuple[GoTo, ...]:
         """See `beside`."""
@@ -254,17 +254,6 @@ class Agent:
                 at = target if up_m is None else replace(target, up_m=up_m)
                 standing.setdefault(name, []).append(GoTo(now_ns, name, at))
         return standing
-
-    def _of(self, now_ns: int, commands: Iterable[Command], outcomes: list[Outcome]) -> Outcome:
-        """One outcome: the last command, the last plan, all that was heard."""
-        last: dict[str, Command] = {}
-        for command in commands:
-            last[getattr(command, "robot", "")] = replace(command, t_ns=now_ns)
-            self._asked_ns = now_ns
-        detections: list[Detection] = [each for outcome in outcomes for each in outcome.detections]
-        plans: list[Plan] = [outcome.plan for outcome in outcomes if outcome.plan is not None]
-        notes = [note for outcome in outcomes for note in outcome.notes]
-        return Outcome(tuple(last.values()), tuple(detections), plans[-1] if plans else None, tuple(notes))
 
     def ordered(self, command: Command) -> None:
         """What was given to its robot in the end, after safety has judged."""

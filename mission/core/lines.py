@@ -6,9 +6,11 @@ the missing ones are back the common line catches up, and all return to it.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Logs
+from fieldkit.messages import Command
 from fieldkit.settings import AGENT_ABSENT_S, AGENT_WAIT_S, TICK_S
 from mission.core.kernel import Kernel, Outcome
 from mission.core.kernel_settings import KernelSettings
@@ -17,6 +19,15 @@ from mission.core.timeline import Timeline
 CATCH_UP_TICKS = 20
 """Ticks that a line is moved on by at one tick: more would keep a robot from being steered meanwhile."""
 ABSENT_TICKS = math.ceil(AGENT_ABSENT_S / TICK_S)
+
+
+def gathered(commands: Iterable[Command], outcomes: Iterable[Outcome]) -> Outcome:
+    """One outcome of several: these commands, the last plan, all that was heard and noted."""
+    outcomes = tuple(outcomes)
+    detections = tuple(each for outcome in outcomes for each in outcome.detections)
+    plans = [outcome.plan for outcome in outcomes if outcome.plan is not None]
+    notes = tuple(note for outcome in outcomes for note in outcome.notes)
+    return Outcome(tuple(commands), detections, plans[-1] if plans else None, notes)
 
 
 @dataclass

@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 
 from fieldkit.engine.decentralised.logs import TICK_NS, Logs, Stream
 from fieldkit.engine.decentralised.talk import Talk
-from fieldkit.messages import Detection, EndMission, Event, Operator, Plan, RssReading, Tick, VehicleState
+from fieldkit.messages import EndMission, Event, Operator, RssReading, Tick, VehicleState
 from mission.core.kernel import Kernel, Outcome
 from mission.core.kernel_settings import KernelSettings
-from mission.core.lines import Lines
+from mission.core.lines import Lines, gathered
 from mission.core.orders import Orders
 
 MOST_TICKS = 40
@@ -104,13 +104,10 @@ class Watcher:
         """Go on with what is known now; what there is to see of it. May run while messages are taken in."""
         self.lines.step(now_ns)
         outcomes = self.lines.shown
-        detections: list[Detection] = [each for outcome in outcomes for each in outcome.detections]
-        plans: list[Plan] = [outcome.plan for outcome in outcomes if outcome.plan is not None]
-        notes = [note for outcome in outcomes for note in outcome.notes]
         ends = [c for outcome in outcomes for c in outcome.commands if isinstance(c, EndMission)]
         if self.over_ns is None and self.kernel.ended:
             self.over_ns = ends[0].t_ns if ends else self.lines.line.horizon * TICK_NS
-        return Outcome(tuple(ends), tuple(detections), plans[-1] if plans else None, tuple(notes))
+        return gathered(ends, outcomes)
 
     def messages(self, now_ns: int) -> list[bytes]:
         """What it has to say at this tick."""

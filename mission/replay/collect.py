@@ -14,15 +14,14 @@ from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Key, Log, Logs
 from fieldkit.errors import DataError, FieldkitError, RecordingError
 from fieldkit.messages import Operator
 from fieldkit.recording.reader import open_recording
-from fieldkit.recording.writer import RecordingWriter
 from fieldkit.settings import TICK_S
 from mission.core.kernel import Kernel
 from mission.core.mission_file import Mission
 from mission.core.timeline import Timeline
 from mission.replay.replay import recorded_mission
-from mission.safety.rules import Safety
 from mission.shell import journal as journals
-from mission.shell.chronicle import Chronicle
+from mission.shell.chronicle import common_of
+from mission.shell.recorder import recording_of
 
 RECORDINGS = ("mission.mcap", "common.mcap")
 """Beside a journal; either holds the mission and the antenna file."""
@@ -268,21 +267,8 @@ def _write(
     if not began:
         raise DataError("the journals hold no observation: " + "; ".join(done.journals))
     line = Timeline(Kernel(mission.kernel), began)
-    metadata = {
-        "mission": mission.file.name,
-        "seed": mission.file.seed,
-        "collected": done.journals,
-        **mission.recorded_settings,
-    }
-    with RecordingWriter(
-        done.out,
-        mission_toml=mission.text,
-        antenna_toml=mission.antenna_text,
-        metadata=metadata,
-        frame=mission.frame,
-    ) as writer:
-        chronicle = Chronicle(line.kernel, Safety(mission.safety), writer)
-        line.witness = chronicle.step
+    with recording_of(mission, done.out, {"collected": done.journals}) as writer:
+        chronicle = common_of(mission, line, writer)
         _step_through(line, whole, flights, done, report)
         done.belief_hash = line.kernel.digest()
         done.end_reason = line.end_reason or "what the agents knew ends here"

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fieldkit import settings as given
 from fieldkit.clock import Clock
@@ -21,16 +21,15 @@ from fieldkit.errors import ConfigError
 from fieldkit.messages import Operator
 from fieldkit.ports import Network
 from fieldkit.recording.made_with import software
-from fieldkit.recording.writer import RecordingWriter
 from mission.core.agent import Agent
 from mission.core.mission_file import Mission
 from mission.safety.apart import least_contact_m
-from mission.safety.rules import Safety
 from mission.shell import journal as journals
 from mission.shell.agent_runner import AgentRunner, Crew
-from mission.shell.chronicle import Chronicle
+from mission.shell.chronicle import common_of
 from mission.shell.keyboard import keyboard
 from mission.shell.progress import Progress
+from mission.shell.recorder import recording_of
 from mission.shell.setups import Setup
 
 if TYPE_CHECKING:
@@ -133,35 +132,16 @@ def fly_agent(
     `page` shows what this robot knows, of the others too.
     """
     agent = make_agent(mission, card, options)
-    metadata: dict[str, Any] = {
-        "mission": mission.file.name,
-        "seed": mission.file.seed,
-        **mission.recorded_settings,
-    }
     with ExitStack() as stack:
-
-        def writer(name: str, more: dict[str, Any], start_ns: int) -> RecordingWriter:
-            return stack.enter_context(
-                RecordingWriter(
-                    folder / name,
-                    mission_toml=mission.text,
-                    antenna_toml=mission.antenna_text,
-                    metadata={**metadata, **more},
-                    frame=mission.frame,
-                    start_ns=start_ns,
-                )
-            )
-
         journal = journals.Journal(folder / journals.NAME)
         stack.enter_context(closing(journal))
         journal.begin(head_of(card, options.key))
-        common = Chronicle(
-            agent.common.kernel, Safety(mission.safety), writer("common.mcap", {"common": True}, 0)
-        )
-        agent.common.witness = common.step
+        everybodys = stack.enter_context(recording_of(mission, folder / "common.mcap", {"common": True}))
+        common = common_of(mission, agent.common, everybodys)
         crew = Crew(agent, network, options.key, card, journal, options.contact_m, common)
         followers = () if page is None else (page.follower,)
-        recorder = writer("mission.mcap", {"agent": card.robot}, setup.clock.now_ns())
+        own = recording_of(mission, folder / "mission.mcap", {"agent": card.robot}, setup.clock.now_ns())
+        recorder = stack.enter_context(own)
         runner = AgentRunner(mission, setup, recorder, on_progress, followers, options.override, crew=crew)
         _stand_by_orders(runner)
 

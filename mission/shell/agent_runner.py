@@ -7,13 +7,12 @@ step looks only at what was closed before it began.
 """
 
 import logging
-import math
 from collections.abc import AsyncIterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
-from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second, read_card
+from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.errors import ConfigError, RecordingError
 from fieldkit.messages import Command, EndMission, Event, Operator, Pose, ReceiverState, Tick, VehicleState
@@ -27,12 +26,11 @@ from mission.safety.rules import Safety
 from mission.shell.alarms import unrecorded
 from mission.shell.chronicle import Chronicle
 from mission.shell.journal import Journal
-from mission.shell.others import Contacts, Refused, TeamClock
+from mission.shell.member import Member
 from mission.shell.runner import Runner
 
 logger = logging.getLogger(__name__)
 
-CARD_EVERY_S = 5.0
 LOOK_ROUND_S = 3.0
 """Before the start an agent listens for so long: for a second one of its robot, and for its own log."""
 OWN_LOG_S = 300.0
@@ -66,10 +64,17 @@ class AgentRunner(Runner):
         self._own = Fleet(self.mission.kernel)
         self._foreign: list[Operator] = []
         """Orders of others that are in the inbox."""
-        self._others = Refused()
-        self._contacts = Contacts(self.crew.agent.lines)
-        self._card_s = -math.inf
-        self._clock = TeamClock(self.setup.clock, self.crew.agent.talk)
+        crew, agent = self.crew, self.crew.agent
+        self._member = Member(
+            self.setup.clock,
+            crew.network,
+            crew.key,
+            crew.card,
+            agent.talk,
+            crew.journal,
+            agent.lines,
+            self._say,
+        )
         super().__post_init__()
 
     @property
@@ -149,10 +154,8 @@ class AgentRunner(Runner):
 
     def _meet(self, data: bytes, now_ns: int) -> None:
         """Another agent says who it is. Raises `ConfigError` where it has our robot already."""
-        mine, card = self.crew.card, read_card(self.crew.key, data)
+        mine, card = self.crew.card, self._member.met(data)
         if card is None:
-            if said := self._others.other_mission(mine, data):
-                self._say(said)
             return
         if not clock_refusal(card, now_ns) and is_second(mine, card):
             raise ConfigError(
@@ -160,8 +163,7 @@ class AgentRunner(Runner):
             )
         is_twin = card.robot == mine.robot and card.instance != mine.instance
         twin = f"a second agent for {mine.robot}, on {card.host}, has to end" if is_twin else ""
-        if said := self._others.news(mine, card, now_ns, twin):
-            self._say(said)
+        self._member.refuse(card, now_ns, twin)
 
     def alarms(self) -> list[str]:
         """Those of any mission, and what of this robot's own files has failed: the others have what it observes."""
@@ -189,24 +191,15 @@ class AgentRunner(Runner):
         await super()._step(number, t_ns, event, pool)
         if isinstance(event, Tick):
             self._speak()
-            for said in self._contacts.news(self.setup.clock.now_ns()):
-                self._say(said)
+            self._member.mind_contact()
 
     def _speak(self) -> None:
         """What is new goes to the journal, and then to the others."""
-        if said := self._clock.follow():
-            self._say(said)
-        crew, now_ns = self.crew, self.setup.clock.now_ns()
-        crew.journal.write(crew.agent.logs)
-        for message in crew.agent.messages(now_ns, self._apart.announced, dict(self._apart.ways)):
-            crew.network.publish(message)
-        now_s = self.setup.clock.elapsed_s()
-        if now_s - self._card_s >= CARD_EVERY_S:
-            self._card_s = now_s
-            card = replace(crew.card, sent_ns=now_ns).to_bytes(crew.key)
-            crew.agent.talk.sent["card"] += len(card)
-            crew.network.greet(card)
-        if crew.agent.talk.lost:
+        agent = self.crew.agent
+        self._member.speak(
+            lambda now_ns: agent.messages(now_ns, self._apart.announced, dict(self._apart.ways))
+        )
+        if agent.talk.lost:
             raise RecordingError(
                 f"the others know more of {self.me} than its own journal, so its log cannot be gone on with: start its "
                 "agent anew while others are in reach, and it gets its log back from them"
@@ -247,15 +240,6 @@ class AgentRunner(Runner):
 
     def result(self) -> dict[str, Any]:
         """How it ended, and what was said and heard."""
-        agent, talk = self.crew.agent, self.crew.agent.talk
-        ages_s = self._contacts.ages_s
-        return super().result() | {
-            "robot": self.me,
-            "common_hash": agent.common.kernel.digest(),
-            "common_tick": agent.common.horizon,
-            "bytes_sent": dict(talk.sent),
-            "bytes_heard": talk.heard_bytes,
-            "dropped": dict(talk.seal.dropped)
-            | {"strangers": self._others.strangers, "unreadable": talk.refused},
-            "age_s": {name: round(s, 1) if math.isfinite(s) else None for name, s in ages_s.items()},
-        }
+        common = self.crew.agent.common
+        told = {"robot": self.me, "common_hash": common.kernel.digest(), "common_tick": common.horizon}
+        return super().result() | told | self._member.result()

@@ -6,8 +6,17 @@ from typing import Any
 from fieldkit.messages import Command, Event, Tick
 from fieldkit.recording.writer import RecordingWriter
 from mission.core.kernel import Kernel, Outcome, state_digest
+from mission.core.mission_file import Mission
+from mission.core.timeline import Timeline
 from mission.safety.rules import Safety
 from mission.shell.recorder import MissionRecorder
+
+
+def common_of(mission: Mission, line: Timeline, writer: RecordingWriter) -> "Chronicle":
+    """What a line of time is stepped through from now on, written down."""
+    chronicle = Chronicle(line.kernel, Safety(mission.safety), writer)
+    line.witness = chronicle.step
+    return chronicle
 
 
 class Chronicle:

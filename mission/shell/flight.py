@@ -5,15 +5,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fieldkit.geo import FieldFrame
 from fieldkit.recording.reader import Recording
-from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.sources import TransientSource
 from mission.core.mission_file import Mission
 from mission.shell import setups
 from mission.shell.keyboard import keyboard
 from mission.shell.progress import Progress
-from mission.shell.recorder import Follower
+from mission.shell.recorder import Follower, recording_of
 from mission.shell.runner import Runner
 
 if TYPE_CHECKING:
@@ -39,28 +37,15 @@ def fly(
     `others` are given everything that is recorded, beside the page. `on_start` is given the runner before it runs.
     With `past`, the recording of a mission that was interrupted, it goes on from there; the new recording holds all.
     """
-    metadata: dict[str, Any] = {
-        "mission": mission.file.name,
-        "seed": mission.file.seed,
-        **mission.recorded_settings,
-        **(extra or {}),
-    }
+    more = dict(extra or {})
     if truth:
-        metadata["truth"] = [
+        more["truth"] = [
             {"east_m": s.east_m, "north_m": s.north_m, "power_db": s.power_db, "rate_hz": s.rate_hz}
             for s in truth
         ]
-    frame = FieldFrame(mission.frame.origin_lat_deg, mission.frame.origin_lon_deg, mission.frame.origin_alt_m)
+    start_ns = setup.clock.now_ns() if past is None else 0
     rotate_mb = mission.file.recording.rotate_mb
-    with RecordingWriter(
-        recording,
-        mission_toml=mission.text,
-        antenna_toml=mission.antenna_text,
-        metadata=metadata,
-        frame=frame,
-        start_ns=setup.clock.now_ns() if past is None else 0,
-        rotate_bytes=None if rotate_mb is None else round(rotate_mb * 1e6),
-    ) as recorder:
+    with recording_of(mission, recording, more, start_ns, rotate_mb) as recorder:
         followers = others if page is None else (page.follower, *others)
         runner = Runner(mission, setup, recorder, on_progress, followers, override)
 

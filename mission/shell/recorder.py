@@ -2,11 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from fieldkit.clock import wall_s
 from fieldkit.messages import Command, Detection, Event, FloatArray, Plan, SourceEstimate
+from fieldkit.recording.writer import RecordingWriter
 from mission.core.kernel import Kernel, Outcome
+from mission.core.mission_file import Mission
 
 BELIEF_EVERY_S = 10.0
 """Mission time between looks at the whole belief."""
@@ -23,6 +26,22 @@ class Look:
     presence: FloatArray
     probability_left: float
     digest: str
+
+
+def recording_of(
+    mission: Mission, path: Path, more: Mapping[str, Any], start_ns: int = 0, rotate_mb: float | None = None
+) -> RecordingWriter:
+    """A recording that begins with what the mission is, and with `more` of how this one came about."""
+    about = {"mission": mission.file.name, "seed": mission.file.seed, **mission.recorded_settings, **more}
+    return RecordingWriter(
+        path,
+        mission_toml=mission.text,
+        antenna_toml=mission.antenna_text,
+        metadata=about,
+        frame=mission.frame,
+        start_ns=start_ns,
+        rotate_bytes=None if rotate_mb is None else round(rotate_mb * 1e6),
+    )
 
 
 class Follower(Protocol):

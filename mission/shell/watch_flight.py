@@ -13,15 +13,14 @@ from fieldkit.engine.decentralised.logs import Logs
 from fieldkit.engine.decentralised.sealing import Seal, session_key
 from fieldkit.engine.decentralised.talk import Talk
 from fieldkit.ports import Network
-from fieldkit.recording.writer import RecordingWriter
 from mission.core.mission_file import Mission
 from mission.core.watcher import Watcher
-from mission.safety.rules import Safety
 from mission.shell import journal as journals
 from mission.shell.agent_flight import card_named, head_of
-from mission.shell.chronicle import Chronicle
+from mission.shell.chronicle import common_of
 from mission.shell.keyboard import keyboard
 from mission.shell.progress import Progress
+from mission.shell.recorder import recording_of
 from mission.shell.watching import Watching, draw_number, watcher_name
 
 if TYPE_CHECKING:
@@ -50,26 +49,11 @@ def watch_team(
 ) -> Watching:
     """Watch the robots' agents until the operator ends it; what watched, ended. Files are closed whatever happens."""
     watcher, card = make_watcher(mission, clock, key, bytes_s)
-    metadata = {
-        "mission": mission.file.name,
-        "seed": mission.file.seed,
-        "common": True,
-        **mission.recorded_settings,
-    }
     with ExitStack() as stack:
         journal = stack.enter_context(closing(journals.Journal(folder / journals.NAME)))
         journal.begin(replace(head_of(card, key), robot=""))
-        recorder = stack.enter_context(
-            RecordingWriter(
-                folder / "common.mcap",
-                mission_toml=mission.text,
-                antenna_toml=mission.antenna_text,
-                metadata=metadata,
-                frame=mission.frame,
-            )
-        )
-        common = Chronicle(watcher.lines.common.kernel, Safety(mission.safety), recorder)
-        watcher.lines.common.witness = common.step
+        recorder = stack.enter_context(recording_of(mission, folder / "common.mcap", {"common": True}))
+        common = common_of(mission, watcher.lines.common, recorder)
         watching = Watching(
             mission, clock, network, key, card, watcher, journal, common, recorder, on_progress, page
         )

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from fieldkit.clock import Clock
-from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second, read_card, refusal
+from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second, refusal
 from fieldkit.engine.decentralised.talk import WATCHERS
 from fieldkit.messages import Event, Operator, Tick
 from fieldkit.ports import Network
@@ -25,12 +25,11 @@ from mission.core.kernel import Kernel, Outcome
 from mission.core.mission_file import Mission
 from mission.core.watcher import Watcher
 from mission.safety.rules import Safety
-from mission.shell.agent_runner import CARD_EVERY_S
 from mission.shell.alarms import late_stops, unrecorded
 from mission.shell.chronicle import Chronicle
 from mission.shell.intake import end_tasks
 from mission.shell.journal import RESUME_WITHIN_S, Journal
-from mission.shell.others import Contacts, Refused, TeamClock
+from mission.shell.member import Member
 from mission.shell.progress import Progress
 from mission.shell.recorder import Look, MissionRecorder
 from mission.shell.setups import Setup
@@ -98,11 +97,18 @@ class Watching:
         self.records = MissionRecorder(self.watcher.kernel, cell_m, *self._followers)
         self.signals = StopSignals(self._signalled, lambda: None, lambda: None, self._suspended)
         self._ended = asyncio.Event()
-        self._others = Refused()
-        self._clock = TeamClock(self.clock, self.watcher.talk)
-        self._contacts = Contacts(self.watcher.lines)
+        watcher = self.watcher
+        self._member = Member(
+            self.clock,
+            self.network,
+            self.key,
+            self.card,
+            watcher.talk,
+            self.journal,
+            watcher.lines,
+            self._say,
+        )
         self._doing: dict[str, str] = {}
-        self._card_s = -math.inf
         self._has_begun = False
         self._line = self.watcher.lines.line
 
@@ -172,17 +178,15 @@ class Watching:
 
     def _meet(self, data: bytes, now_ns: int) -> None:
         """Another member says who it is."""
-        mine, card = self.card, read_card(self.key, data)
+        mine, card = self._member.card, self._member.met(data)
         if card is None:
-            if said := self._others.other_mission(mine, data):
-                self._say(said)
             return
         if not clock_refusal(card, now_ns) and is_second(mine, card):
             number = draw_number()
-            self.card, self.watcher.talk.seal.me = replace(mine, robot=watcher_name(number)), number
+            self._member.card = self.card = replace(mine, robot=watcher_name(number))
+            self.watcher.talk.seal.me = number
             return
-        if said := self._others.news(mine, card, now_ns):
-            self._say(said)
+        self._member.refuse(card, now_ns)
         belongs = not clock_refusal(card, now_ns) and not refusal(mine, card)
         if belongs and self.watcher.is_of_another(card.robot, card.started_ns, RESUME_WITHIN_S):
             self._end(
@@ -205,18 +209,9 @@ class Watching:
     async def _speak(self) -> None:
         """At every tick: what is new goes to the journal, and then to the others."""
         while True:
-            if said := self._clock.follow():
-                self._say(said)
-            now_ns, now_s = self.clock.now_ns(), self.clock.elapsed_s()
-            self.journal.write(self.watcher.logs)
-            for message in self.watcher.messages(now_ns):
-                self.network.publish(message)
-            if now_s - self._card_s >= CARD_EVERY_S:
-                self._card_s = now_s
-                self.network.greet(replace(self.card, sent_ns=now_ns).to_bytes(self.key))
-            for said in self._contacts.news(now_ns):
-                self._say(said)
-            self._pass(now_ns)
+            self._member.speak(self.watcher.messages)
+            self._member.mind_contact()
+            self._pass(self.clock.now_ns())
             await self.clock.sleep(TICK_S)
 
     def _pass(self, now_ns: int) -> None:
@@ -286,7 +281,7 @@ class Watching:
         return {
             name: f"out of contact: {_age(ages_s[name])}"
             for name in self.watcher.logs.robots
-            if name not in self._contacts.present
+            if name not in self._member.contacts.present
         }
 
     def alarms(self) -> Sequence[str]:
@@ -306,19 +301,14 @@ class Watching:
 
     def result(self) -> dict[str, Any]:
         """How it ended, and what was said and heard."""
-        watcher, talk = self.watcher, self.watcher.talk
-        ages_s = watcher.lines.ages_s(self.clock.now_ns())
-        return self._agreed() | {
+        orders = self.watcher.orders
+        told = {
             "end_reason": self.end_reason,
             "detections": self.kernel.detections,
-            "age_s": {name: round(s, 1) if math.isfinite(s) else None for name, s in ages_s.items()},
-            "not_shown_to_hold": sorted(watcher.orders.unheld()),
-            "not_handed_on": [_words(order) for order in watcher.orders.waiting],
-            "bytes_sent": dict(talk.sent),
-            "bytes_heard": talk.heard_bytes,
-            "dropped": dict(talk.seal.dropped)
-            | {"strangers": self._others.strangers, "unreadable": talk.refused},
+            "not_shown_to_hold": sorted(orders.unheld()),
+            "not_handed_on": [_words(order) for order in orders.waiting],
         }
+        return self._agreed() | told | self._member.result()
 
 
 def _words(order: Operator) -> str:

@@ -1,0 +1,82 @@
+"""What an agent and a laptop that watches do alike: say who they are and what is new, and hear who is there.
+
+At every tick what has come to be known goes to the journal, and only then to the others.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from fieldkit.clock import Clock
+from fieldkit.engine.decentralised.card import Card, read_card
+from fieldkit.engine.decentralised.talk import Talk
+from fieldkit.ports import Network
+from mission.core.lines import Lines
+from mission.shell.journal import Journal
+from mission.shell.others import Contacts, Refused, TeamClock
+
+CARD_EVERY_S = 5.0
+
+
+@dataclass
+class Member:
+    """See the module. `say` puts words before the operator."""
+
+    clock: Clock
+    network: Network
+    key: bytes
+    card: Card
+    talk: Talk
+    journal: Journal
+    lines: Lines
+    say: Callable[[str], None]
+    others: Refused = field(default_factory=Refused)
+    contacts: Contacts = field(init=False)
+    _team_clock: TeamClock = field(init=False)
+    _card_s: float = -math.inf
+
+    def __post_init__(self) -> None:
+        self.contacts = Contacts(self.lines)
+        self._team_clock = TeamClock(self.clock, self.talk)
+
+    def speak(self, messages: Callable[[int], Iterable[bytes]]) -> None:
+        """A tick's words: `messages` are those of a time."""
+        if said := self._team_clock.follow():
+            self.say(said)
+        now_ns, now_s = self.clock.now_ns(), self.clock.elapsed_s()
+        self.journal.write(self.talk.logs)
+        for message in messages(now_ns):
+            self.network.publish(message)
+        if now_s - self._card_s >= CARD_EVERY_S:
+            self._card_s = now_s
+            card = replace(self.card, sent_ns=now_ns).to_bytes(self.key)
+            self.talk.sent["card"] += len(card)
+            self.network.greet(card)
+
+    def mind_contact(self) -> None:
+        """Say who has come into contact, and who has gone."""
+        for said in self.contacts.news(self.clock.now_ns()):
+            self.say(said)
+
+    def met(self, data: bytes) -> Card | None:
+        """Who has said who he is; None where that is one of another key, which is said."""
+        card = read_card(self.key, data)
+        if card is None and (said := self.others.other_mission(self.card, data)):
+            self.say(said)
+        return card
+
+    def refuse(self, card: Card, now_ns: int, otherwise: str = "") -> None:
+        """Say why nothing of another is heard, if that is so, or `otherwise`."""
+        if said := self.others.news(self.card, card, now_ns, otherwise):
+            self.say(said)
+
+    def result(self) -> dict[str, Any]:
+        """What was said, heard and dropped."""
+        talk, dropped, ages_s = self.talk, dict(self.talk.seal.dropped), self.contacts.ages_s
+        return {
+            "age_s": {name: round(s, 1) if math.isfinite(s) else None for name, s in ages_s.items()},
+            "bytes_sent": dict(talk.sent),
+            "bytes_heard": talk.heard_bytes,
+            "dropped": dropped | {"strangers": self.others.strangers, "unreadable": talk.refused},
+        }
