@@ -136,6 +136,9 @@ class IntensityTuning(_Table):
     silent_odds: float = tuned(
         0.01, 1e-6, 0.5, "", "a source whose silence is less probable by chance has gone silent", HAND
     )
+    surely_silent: float = tuned(
+        0.9, 0.5, 1.0, "", "and so has one that has so probably ended or moved since", CHECKS
+    )
     change_s: float = tuned(
         3_600.0, 1.0, 1e9, "s", "mean time until a source ends or is moved; how soon finds are doubted", HAND
     )

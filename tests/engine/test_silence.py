@@ -159,3 +159,50 @@ def test_two_equal_candidates_are_one_even_after_their_detections_were_frozen() 
     assert merge(mixture)
     (left,) = [each for each in mixture.candidates if each.receptions > 3.0]
     assert left.receptions == pytest.approx(together, rel=1e-6)
+
+
+def known(ident: int, first_s: float) -> SimpleNamespace:
+    return SimpleNamespace(ident=ident, first_ns=int(first_s * S), receptions=9.0)
+
+
+def silent_mixture(quiet_s: dict[int, float], stay_s: float = 3600.0) -> SimpleNamespace:
+    return SimpleNamespace(
+        candidates=[known(ident, 0.0) for ident in quiet_s],
+        now_ns=2000 * S,
+        stay_s=stay_s,
+        settings=SimpleNamespace(min_receptions=3),
+        tuning=Tuning().intensity,
+    )
+
+
+def test_the_longer_ago_one_was_heard_the_shorter_a_silence_tells_that_it_has_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    quiet_s = {1: 900.0, 2: 90.0}
+    mixture = silent_mixture(quiet_s)
+    monkeypatch.setattr(
+        silence,
+        "silence",
+        lambda _, each: silence.Silence(int((2000.0 - quiet_s[each.ident]) * S), 0.02),
+    )
+    assert silence.gone_silent(mixture) == {1}  # type: ignore[arg-type]
+
+
+def test_where_sources_go_others_are_expected_to_go_sooner(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mean of 1 / rate's Gamma, worked out by counting simulated pasts that agree with what was seen."""
+    mixture = silent_mixture({1: 0.0, 2: 0.0, 3: 800.0})
+    monkeypatch.setattr(silence, "silence", lambda _, each: silence.Silence(1200 * S, 1.0))
+    rng = np.random.default_rng(4)
+    rate_hz = rng.exponential(1.0 / 3600.0, 400_000)
+    ends = rng.exponential(1.0, (3, rate_hz.size)) / rate_hz
+    stayed = (ends[0] > 2000.0) & (ends[1] > 2000.0)
+    none_gone = stayed & (ends[2] > 1200.0)
+    one_gone = stayed & (ends[2] > 1150.0) & (ends[2] < 1250.0)
+    with_none = silence.mean_stay_s(mixture, set())  # type: ignore[arg-type]
+    with_one = silence.mean_stay_s(mixture, {3})  # type: ignore[arg-type]
+    assert with_one == pytest.approx(1.0 / rate_hz[one_gone].mean(), rel=0.05)
+    mixture.candidates = mixture.candidates[:2]
+    stayed_s = silence.mean_stay_s(mixture, set())  # type: ignore[arg-type]
+    assert stayed_s == pytest.approx(1.0 / rate_hz[stayed].mean(), rel=0.05)
+    assert with_one < stayed_s < with_none
+    assert none_gone.sum() < stayed.sum()

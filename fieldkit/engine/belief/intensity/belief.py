@@ -18,7 +18,7 @@ from scipy.special import gammainc, gammaincinv
 from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary
 from fieldkit.engine.belief.intensity.mixture import Mixture
-from fieldkit.engine.belief.intensity.silence import expected_asleep, gone_probability, silence
+from fieldkit.engine.belief.intensity.silence import expected_asleep, gone_probability, gone_silent, silence
 from fieldkit.engine.belief.intensity.silence import words as silence_words
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
 from fieldkit.engine.settings import EngineSettings
@@ -71,12 +71,7 @@ class IntensityBelief:
 
     def _look_for_silent(self) -> bool:
         """Whether a source has gone silent since this was last asked, or is heard again."""
-        silent = {
-            candidate.ident
-            for candidate in self.candidates
-            if candidate.receptions >= self.settings.min_receptions - 0.1
-            and silence(self.mixture, candidate).odds < self._tuning.silent_odds
-        }
+        silent = gone_silent(self.mixture)
         changed, self._silent = silent != self._silent, silent
         return changed
 

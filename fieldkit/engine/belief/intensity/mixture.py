@@ -125,6 +125,7 @@ class Mixture:
         self.now_ns = 0
         """Up to when something was heard, or listened to."""
         self.since_ns: int | None = None
+        self.stay_s = self.tuning.change_s
         self.clutter_frozen = 0.0
         self._next_detection = 0
         self._next_ident = 1

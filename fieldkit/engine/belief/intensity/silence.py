@@ -102,7 +102,7 @@ def expected_asleep(mixture: "Mixture", silent: Collection[int]) -> float:
     Of as many as were expected at first, the share that is silent of those that are known. One that is heard from
     another place sleeps not; and of many that are listened to for long some are silent by chance for a while.
     """
-    known = [c for c in mixture.candidates if c.receptions >= mixture.settings.min_receptions - 0.1]
+    known = [each for each in mixture.candidates if is_known(mixture, each)]
     asleep = [
         candidate
         for candidate in known
@@ -117,8 +117,47 @@ def gone_probability(mixture: "Mixture", candidate: Candidate) -> float:
     """P(it has ended or was moved since it was last heard): such things happen now and then, and it is silent since."""
     silent = silence(mixture, candidate)
     quiet_s = max(0.0, (mixture.now_ns - silent.since_ns) * 1e-9)
-    stayed = float(np.exp(-quiet_s / mixture.tuning.change_s))
+    stayed = float(np.exp(-quiet_s / mixture.stay_s))
     return (1.0 - stayed) / (1.0 - stayed + stayed * silent.odds)
+
+
+def gone_silent(mixture: "Mixture") -> set[int]:
+    """Of which sources (by identity) it is to be said that they have gone silent; from then on others go sooner.
+
+    Of those whose silence is by chance too improbable, or which are more probably gone than there: the longer ago one
+    was heard, the more often such things happen, and the shorter a silence tells of one.
+    """
+    tuning = mixture.tuning
+    silent = {
+        each.ident
+        for each in mixture.candidates
+        if is_known(mixture, each)
+        and (
+            silence(mixture, each).odds < tuning.silent_odds
+            or gone_probability(mixture, each) >= tuning.surely_silent
+        )
+    }
+    mixture.stay_s = mean_stay_s(mixture, silent)
+    return silent
+
+
+def mean_stay_s(mixture: "Mixture", silent: Collection[int]) -> float:
+    """How long a source stays on average, by those known so far: where one has gone, others go sooner.
+
+    Ends at a rate known as Gamma(1 + those that went, `change_s` + the time that all were there).
+    """
+    there_s = sum(
+        (silence(mixture, each).since_ns if each.ident in silent else mixture.now_ns) * 1e-9
+        - each.first_ns * 1e-9
+        for each in mixture.candidates
+        if each.first_ns is not None and is_known(mixture, each)
+    )
+    return (mixture.tuning.change_s + there_s) / (1.0 + len(silent))
+
+
+def is_known(mixture: "Mixture", candidate: Candidate) -> bool:
+    """Whether it was heard often enough to say that it is a source."""
+    return candidate.receptions >= mixture.settings.min_receptions - 0.1
 
 
 def words(mixture: "Mixture", candidate: Candidate, silent: Silence) -> str:
