@@ -127,8 +127,7 @@ class Mixture:
         self.since_ns: int | None = None
         self.stay_s = self.tuning.change_s
         self.clutter_frozen = 0.0
-        self._next_detection = 0
-        self._next_ident = 1
+        self._next_detection, self._next_ident = 0, 1
         self._summaries: dict[int, Summary] = {}
 
     def listen(self, listening: Listening) -> None:
