@@ -113,6 +113,12 @@ def field(
     sources: Annotated[int, typer.Option(min=0, max=50, help="Hidden transmitters.")] = SOURCES,
     size_m: Annotated[float, typer.Option(min=1.0, help="Side of the square field.")] = 10.0,
     address: Annotated[str, typer.Option(help="Where telemetry goes, host:port.")] = given.TELEMETRY,
+    agents: Annotated[
+        bool,
+        typer.Option(
+            "--agents", help="For 'fieldkit agent': a port for each robot, from that of --address on."
+        ),
+    ] = False,
     rate: Rate = 1.0,
     seed: Seed = 1,
     out: Annotated[
@@ -122,20 +128,31 @@ def field(
     """Emulate robots, radios and hidden transmitters, and write a mission that searches for them, ready to run.
 
     Example: fieldkit emulate field --robots 4
+
+    Example: fieldkit emulate field --robots 2 --agents
     """
     import numpy as np
 
     from drivers.emulators.alone import run_field, write_mission
     from drivers.emulators.claims import claimed_folder
     from drivers.emulators.field import EmulatedRobot
+    from drivers.links import host_and_port
     from fieldkit.world.sources import random_sources
 
     _finite(size_m=size_m)
     rng = np.random.default_rng(seed)
     hidden = random_sources(sources, size_m, size_m, (0.0,), HIDDEN_HZ, rng)
-    write = partial(write_mission, out, size_m, sources, address, ORIGIN_DEG, SPEED_M_S)
+    write = partial(write_mission, out, size_m, sources, ORIGIN_DEG, SPEED_M_S, agents)
+    host, port = host_and_port(address)
     team = tuple(
-        EmulatedRobot(f"robot{n + 1}", n + 1, size_m * (n + 0.5) / robots, 0.5) for n in range(robots)
+        EmulatedRobot(
+            f"robot{n + 1}",
+            n + 1,
+            size_m * (n + 0.5) / robots,
+            0.5,
+            address=f"{host}:{port + n}" if agents else "",
+        )
+        for n in range(robots)
     )
     with claimed_folder(out):
         run_field(team, tuple(hidden), address, ORIGIN_DEG, SPEED_M_S, rate, seed, write)

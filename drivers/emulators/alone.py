@@ -1,6 +1,7 @@
 """Emulated devices run from the command line until Ctrl-C: says where to connect, then keeps quiet."""
 
 import asyncio
+import contextlib
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -118,16 +119,27 @@ def run_field(
     max_speed_m_s: float,
     rate: float,
     seed: int,
-    write: Callable[[list[tuple[str, int, str]]], None] | None = None,
+    write: Callable[[list[tuple[str, int, str, str]]], None] | None = None,
 ) -> None:
-    """A field of robots, until Ctrl-C. `write` is given each robot's name, system id and port once they are there."""
+    """A field of robots, until Ctrl-C.
+
+    `write` is given each robot's name, system id, its radio's port and its telemetry's address once they are there.
+    """
     frame = FieldFrame(*origin_deg)
     clock = ScaledClock(rate)
     spec = FieldSpec(
         clock, frame, ANTENNA, sources, robots, address, seed, pose_noise_m=0.02, max_speed_m_s=max_speed_m_s
     )
-    with claimed_vehicles(address, [robot.system_id for robot in robots]), start(spec) as running:
-        typer.echo(f'rovers send to {address}: vehicle address = "udpin:{address}"')
+    sends_to: dict[str, list[EmulatedRobot]] = {}
+    for robot in robots:
+        sends_to.setdefault(robot.address or address, []).append(robot)
+    with contextlib.ExitStack() as stack:
+        for each, team in sends_to.items():
+            stack.enter_context(claimed_vehicles(each, [robot.system_id for robot in team]))
+        running = stack.enter_context(start(spec))
+        for each, team in sends_to.items():
+            who = "rovers send" if len(sends_to) == 1 else f"{team[0].name} sends"
+            typer.echo(f'{who} to {each}: vehicle address = "udpin:{each}"')
         for robot in robots:
             port = running.receiver_ports[robot.name]
             typer.echo(f'{robot.name}: system_id = {robot.system_id}, port = "{port}"')
@@ -136,7 +148,8 @@ def run_field(
                 f"hidden transmitter {number}: {source.east_m:.2f} m east, {source.north_m:.2f} m north"
             )
         if write is not None:
-            write([(robot.name, robot.system_id, running.receiver_ports[robot.name]) for robot in robots])
+            ports = running.receiver_ports
+            write([(r.name, r.system_id, ports[r.name], r.address or address) for r in robots])
         typer.echo("Ctrl-C ends it")
         while True:
             wall_sleep(0.5)
@@ -146,22 +159,29 @@ def write_mission(
     out: Path,
     size_m: float,
     sources: int,
-    address: str,
     origin_deg: tuple[float, float],
     max_speed_m_s: float,
-    robots: list[tuple[str, int, str]],
+    agents: bool,
+    robots: list[tuple[str, int, str, str]],
 ) -> None:
-    """A mission file and an antenna file in `out` that fit an emulated field."""
+    """A mission file and an antenna file in `out` that fit an emulated field, for one computer or for `agents`."""
     text = plugins.load("fieldkit.templates", "emulated")(
         size_m=size_m,
         origin_deg=origin_deg,
         sources=sources,
         rate_hz=HIDDEN_HZ,
         max_speed_m_s=max_speed_m_s,
-        address=address,
         robots=robots,
     )
     write_whole(out / "antenna.toml", dump_antenna(AntennaFile(ANTENNA)))
     write_whole(out / "mission.toml", text)
-    typer.echo(f"written: {out}/{{mission.toml, antenna.toml}}, ready to run in another terminal:")
-    typer.echo(f"  fieldkit run {out}/mission.toml --page")
+    if not agents:
+        typer.echo(f"written: {out}/{{mission.toml, antenna.toml}}, ready to run in another terminal:")
+        typer.echo(f"  fieldkit run {out}/mission.toml --page")
+        return
+    typer.echo(f"written: {out}/{{mission.toml, antenna.toml}}, ready to run, each in a terminal of its own:")
+    begin = f"  fieldkit agent {out}/mission.toml"
+    typer.echo(f"{begin} --new-key          (once)")
+    for name, *_ in robots:
+        typer.echo(f"{begin} --robot {name} --out {name}")
+    typer.echo(f"{begin} --watch            (a laptop with a page)")

@@ -60,6 +60,8 @@ class EmulatedRobot:
     heading_deg: float = 0.0
     firmware: str = FIRMWARE
     """rover, copter or px4."""
+    address: str = ""
+    """host:port to which it sends, where that is its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +165,8 @@ def start(spec: FieldSpec) -> RunningField:
     """Emulate a field until closed; returns when every wire is there. Takes about a second."""
     if spec.xbee_profile not in PROFILES:
         raise ValueError(f"no XBee profile {spec.xbee_profile!r}; there are: {', '.join(PROFILES)}")
-    host_and_port(spec.vehicle_address)
+    for address in (spec.vehicle_address, *(robot.address for robot in spec.robots if robot.address)):
+        host_and_port(address)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_child, args=(spec, theirs), name="emulated-field", daemon=True)
@@ -361,9 +364,9 @@ class _Field:
             self._folder.cleanup()
 
     async def _open(self) -> None:
-        address = host_and_port(self._spec.vehicle_address)
         loop = asyncio.get_running_loop()
-        for robot in self._robots.values():
+        for spec, robot in zip(self._spec.robots, self._robots.values(), strict=True):
+            address = host_and_port(spec.address or self._spec.vehicle_address)
             await robot.radio.plug()
             await loop.create_datagram_endpoint(
                 lambda robot=robot: _Telemetry(robot, self._spec.clock),  # type: ignore[misc]

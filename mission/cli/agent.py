@@ -13,9 +13,9 @@ from mission.cli.options import (
     JsonOption,
     PortOption,
     before_the_start,
+    begun_folder,
     may_be_shown,
     print_json,
-    run_folder,
     say,
     shown_page,
 )
@@ -157,19 +157,18 @@ def agent(
         say(
             "engine.planner is dprwa: robots out of contact will not meet as planned; 'dprwa-apart' keeps meetings"
         )
-    folder = _folder(out, mission)
-    if resumed is not None:
-        say(f"goes on with what {robot} knew: {resumed}", always=True)
-    say(f"{robot} records to {folder}; looks for others {network.where}")
-    with before_the_start():
+    with before_the_start(), begun_folder(out, mission) as (folder, on_start):
+        if resumed is not None:
+            say(f"goes on with what {robot} knew: {resumed}", always=True)
+        say(f"{robot} records to {folder}; looks for others {network.where}")
         with (
             shown_page(mission, page, page_host, page_port, "agent") as shown,
             Watch(quiet=as_json and not sys.stderr.isatty()) as terminal,
         ):
-            runner = fly_agent(mission, setup, network, card, options, folder, terminal.show, shown)
+            runner = fly_agent(mission, setup, network, card, options, folder, terminal.show, shown, on_start)
         say(f"written: {folder}/{{mission.mcap, common.mcap}}; 'fieldkit report' makes a page of either")
-        # A robot's computer has better to do than to draw.
-        print_flown(runner, folder, as_json=as_json, report=False)
+    # A robot's computer has better to do than to draw.
+    print_flown(runner, folder, as_json=as_json, report=False)
 
 
 def _check_whose(robot: str, robots: tuple[str, ...], none: bool, *, both: bool) -> None:
@@ -181,16 +180,6 @@ def _check_whose(robot: str, robots: tuple[str, ...], none: bool, *, both: bool)
             f"--robot: which robot's computer is this? There are {', '.join(robots)}; on a computer without one "
             "either --watch or --hold"
         )
-
-
-def _folder(out: Path, mission: "Mission") -> Path:
-    """A folder for this run, with the two files that it is flown with."""
-    from fieldkit.files import write_whole
-
-    folder = run_folder(out)
-    write_whole(folder / "mission.toml", mission.text)
-    write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)
-    return folder
 
 
 def _watch(
@@ -215,16 +204,16 @@ def _watch(
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     with before_the_start():
         warm_up(mission)
-    folder = _folder(out, mission)
-    say(f"records to {folder}; looks for robots {network.where}")
-    with (
-        before_the_start(),
-        shown_page(mission, True, host, port, "page") as shown,
-        Watch(quiet=as_json and not sys.stderr.isatty()) as terminal,
-    ):
-        watched = watch_team(
-            mission, network, clock, secret, folder, bytes_s=bytes_s, on_progress=terminal.show, page=shown
-        )
+    with before_the_start(), begun_folder(out, mission) as (folder, on_start):
+        say(f"records to {folder}; looks for robots {network.where}")
+        with (
+            shown_page(mission, True, host, port, "page") as shown,
+            Watch(quiet=as_json and not sys.stderr.isatty()) as terminal,
+        ):
+            watched = watch_team(
+                mission, network, clock, secret, folder,
+                bytes_s=bytes_s, on_progress=terminal.show, page=shown, on_start=on_start,
+            )  # fmt: skip
     result, finds = watched.result(), [plain_source(source) for source in watched.kernel.sources()]
     if as_json:
         print_json(result | {"sources": finds, "recording": str(folder / "common.mcap")})

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from mission.page.serve import LivePage
     from mission.shell.recorder import Follower
     from mission.shell.runner import Runner
+    from mission.shell.watching import Watching
 
 PageOption = Annotated[bool, typer.Option("--page/--no-page", help="Serve the live page.")]
 HostOption = Annotated[
@@ -82,11 +83,15 @@ def shown_page(
     mission: "Mission", wanted: bool, host: str, port: int, ends: "Ends | None" = None
 ) -> "Iterator[LivePage | None]":
     """The live page, and where to find it, on standard error. `ends`: what End ends, if not the whole."""
+    from mission.shell.keyboard import help_of
+
+    hands = help_of(ends or "mission") if sys.stdin is not None and sys.stdin.isatty() else ""
     if not wanted:
+        if hands:
+            say(hands)
         yield None
         return
     from mission.page import serve
-    from mission.shell.keyboard import HELP
 
     with serve.live(mission, host=host, port=port) as shown:
         if ends is not None:
@@ -95,8 +100,8 @@ def shown_page(
         say(f"only to look:              {shown.page.address}", always=True)
         if shown.page.is_reached_by_others and sys.stderr.isatty():
             print_code(shown.page.command_address)
-        if sys.stdin is not None and sys.stdin.isatty():
-            say(HELP if ends is None else HELP.replace("the mission", f"this {ends} alone"))
+        if hands:
+            say(hands)
         yield shown
 
 
@@ -133,7 +138,9 @@ def informed_maps(mission: "Mission") -> "Iterator[tuple[Follower, ...]]":
 
 
 @contextmanager
-def begun_folder(out: Path, mission: "Mission") -> "Iterator[tuple[Path, Callable[[Runner], None]]]":
+def begun_folder(
+    out: Path, mission: "Mission"
+) -> "Iterator[tuple[Path, Callable[[Runner | Watching], None]]]":
     """A folder of its own for this run, with the two files that it is flown with; and what the runner is given to.
 
     The folder goes again where the run ends by an error before its runner has begun.
@@ -142,7 +149,7 @@ def begun_folder(out: Path, mission: "Mission") -> "Iterator[tuple[Path, Callabl
 
     there_before = out.exists()
     folder = run_folder(out)
-    runners: list[Runner] = []
+    runners: list[Runner | Watching] = []
     try:
         write_whole(folder / "mission.toml", mission.text)
         write_whole(folder / mission.file.antenna.file.rsplit("/", 1)[-1], mission.antenna_text)

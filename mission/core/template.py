@@ -97,10 +97,12 @@ def emulated_text(
     sources: int,
     rate_hz: float,
     max_speed_m_s: float,
-    address: str,
-    robots: Sequence[tuple[str, int, str]],
+    robots: Sequence[tuple[str, int, str, str]],
 ) -> str:
-    """The mission file of an emulated field, ready to run. `robots`: (name, system id, port of its radio)."""
+    """The mission file of an emulated field, ready to run.
+
+    `robots`: (name, system id, port of its radio, address of its telemetry).
+    """
     text = mission_text(
         name="emulated field",
         origin_deg=origin_deg,
@@ -113,7 +115,10 @@ def emulated_text(
         sources_found=sources or None,
         fence_margin_m=0.2,
         min_separation_m=0.5,
-        robots=[TemplateRobot(name, port, f"udpin:{address}", system_id) for name, system_id, port in robots],
+        robots=[
+            TemplateRobot(name, port, f"udpin:{address}", system_id)
+            for name, system_id, port, address in robots
+        ],
     )
     text = text.replace(f"max_speed_m_s = {given.MAX_SPEED_M_S.default}", f"max_speed_m_s = {max_speed_m_s}")
     return f"# Written by 'fieldkit emulate field', and anew whenever it starts: copy it to keep changes.\n{text}"

@@ -30,6 +30,7 @@ from mission.shell.chronicle import common_of
 from mission.shell.keyboard import keyboard
 from mission.shell.progress import Progress
 from mission.shell.recorder import recording_of
+from mission.shell.runner import Runner
 from mission.shell.setups import Setup
 
 if TYPE_CHECKING:
@@ -126,16 +127,20 @@ def fly_agent(
     folder: Path,
     on_progress: Callable[[Progress], None] = lambda _: None,
     page: "LivePage | None" = None,
+    on_start: Callable[[Runner], None] = lambda _: None,
 ) -> AgentRunner:
     """Run one robot's part of a mission; the runner, ended. Recordings and journal are closed whatever happens.
 
-    `page` shows what this robot knows, of the others too.
+    `page` shows what this robot knows, of the others too. `on_start` is given the runner before it runs.
     """
     agent = make_agent(mission, card, options)
     with ExitStack() as stack:
         journal = journals.Journal(folder / journals.NAME)
         stack.enter_context(closing(journal))
         journal.begin(head_of(card, options.key))
+        journal.write(
+            agent.logs
+        )  # it takes the place of the one that is gone on with, also where this start fails
         everybodys = stack.enter_context(recording_of(mission, folder / "common.mcap", {"common": True}))
         common = common_of(mission, agent.common, everybodys)
         crew = Crew(agent, network, options.key, card, journal, options.contact_m, common)
@@ -144,6 +149,7 @@ def fly_agent(
         recorder = stack.enter_context(own)
         runner = AgentRunner(mission, setup, recorder, on_progress, followers, options.override, crew=crew)
         _stand_by_orders(runner)
+        on_start(runner)
 
         async def run() -> None:
             if page is not None:
@@ -151,7 +157,7 @@ def fly_agent(
             if setup.tap is not None:
                 setup.tap.listen(lambda robot, data: recorder.raw(setup.clock.now_ns(), robot, data))
             async with network:
-                with keyboard(runner):
+                with keyboard(runner, "agent"):
                     await runner.run()
 
         asyncio.run(run())

@@ -27,6 +27,7 @@ from mission.shell.alarms import unrecorded
 from mission.shell.chronicle import Chronicle
 from mission.shell.journal import Journal
 from mission.shell.member import Member
+from mission.shell.others import ORDERED
 from mission.shell.runner import Runner
 
 logger = logging.getLogger(__name__)
@@ -169,6 +170,15 @@ class AgentRunner(Runner):
         """Those of any mission, and what of this robot's own files has failed: the others have what it observes."""
         common = "" if self.crew.common is None else self.crew.common.failure
         return [*super().alarms(), *unrecorded((common, self.crew.journal.failure))]
+
+    def doing(self) -> dict[str, str]:
+        """Its own robot's, and of the others what is planned, unless they have an order, or nobody knows."""
+        ordered = {
+            name: ORDERED[robot.ordered]
+            for name, robot in self.safety.robots.items()
+            if robot.ordered and name != self.me
+        }
+        return self._doing | ordered | self._member.contacts.absent()
 
     # -- what goes out -------------------------------------------------------------------------------------
 

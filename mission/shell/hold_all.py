@@ -3,13 +3,14 @@
 import asyncio
 
 from fieldkit.clock import Clock
-from fieldkit.engine.decentralised.card import Card, apart_words
+from fieldkit.engine.decentralised.card import MARK, Card, apart_words, read_card, refusal
 from fieldkit.engine.decentralised.logs import Logs
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.engine.decentralised.sealing import Seal, session_key
 from fieldkit.engine.decentralised.talk import OPERATOR, Talk, code_of
 from fieldkit.messages import Operator
 from fieldkit.ports import Network
+from mission.shell.others import Refused
 
 EVERY_S = 0.25
 """An order is said so often."""
@@ -23,16 +24,17 @@ async def hold_all(
     An agent that obeys logs the order, so that robots out of reach learn of it from that one: one is enough.
     """
     talk = Talk(Logs(robots[0], robots), Seal(session_key(key, card.common), OPERATOR))
+    others, why = Refused(), dict[str, str]()
     order = quantised(Operator(clock.now_ns(), "hold", None, "HOLD ALL from the operator's computer"))
     assert isinstance(order, Operator)
     said = {}
     async with network:
-        listening = asyncio.create_task(_listen(network, talk, clock), name="listen")
+        listening = asyncio.create_task(_listen(network, talk, clock, key, card, others, why), name="listen")
         until_s = clock.elapsed_s() + patience_s
         while clock.elapsed_s() < until_s:
             network.publish(talk.say_order(order, clock.now_ns()), urgent=True)
             await clock.sleep(EVERY_S)
-            said = {name: _word(talk, name, order) for name in robots}
+            said = {name: _word(talk, name, order, why.get(name) or why.get("", "")) for name in robots}
             if set(said.values()) == {"holds"}:
                 break
         listening.cancel()
@@ -40,13 +42,23 @@ async def hold_all(
     return said
 
 
-def _word(talk: Talk, name: str, order: Operator) -> str:
+def _word(talk: Talk, name: str, order: Operator, why: str) -> str:
     if (peer := talk.peers.get(name)) is None:
         ahead_s = talk.seal.stale_s.get(talk.logs.robots.index(name))
-        return "is not heard" if ahead_s is None else f"is not heard: {apart_words(ahead_s)}"
+        reason = why if ahead_s is None else apart_words(ahead_s)
+        return f"is not heard: {reason}" if reason else "is not heard"
     return "holds" if peer.obeyed == code_of(order) else "has not shown it"
 
 
-async def _listen(network: Network, talk: Talk, clock: Clock) -> None:
+async def _listen(
+    network: Network, talk: Talk, clock: Clock, key: bytes, mine: Card, others: Refused, why: dict[str, str]
+) -> None:
+    """Take in what is said. `why`: why a robot is not heard, or, under no name, nobody may be."""
     async for data in network.messages():
-        talk.take(data, clock.now_ns())
+        now_ns = clock.now_ns()
+        if not data.startswith(MARK):
+            talk.take(data, now_ns)
+        elif (card := read_card(key, data)) is None:
+            why[""] = others.other_mission(mine, data) or why.get("", "")
+        elif reason := refusal(mine, card):
+            why[card.robot] = reason

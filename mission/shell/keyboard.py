@@ -26,6 +26,9 @@ WORDS: dict[str, Action] = {
     "end": "end",
 }
 HELP = "Enter: HOLD ALL   r: resume   home: all return   end or Ctrl-C: end the mission"
+
+WHOLE = "mission"
+"""What "end" ends, unless said otherwise."""
 EVERYBODY = ("all", "everybody", "*")
 LONGEST_LINE = 4096
 """What a terminal takes for a line at the most."""
@@ -34,6 +37,11 @@ LISTEN_AGAIN_S = 0.2
 MOST_SHOWN = 40
 KEYS = re.compile(r"\x1b(?:\[[0-9;?]*[ -/]*[@-~]|O.|.)?")
 """What arrows and other keys without a letter send: hit on the way to Enter, they must not keep it from holding."""
+
+
+def help_of(ends: str = WHOLE) -> str:
+    """What can be typed. `ends`: what "end" ends, where that is not the whole mission."""
+    return HELP if ends == WHOLE else HELP.replace("the mission", f"this {ends}")
 
 
 class Commanded(Protocol):
@@ -52,7 +60,7 @@ class NotUnderstood(ValueError):
     """What was typed asks for nothing; the text says why, and what the words are."""
 
 
-def meaning(line: str, robots: Sequence[str]) -> tuple[Action, str | None]:
+def meaning(line: str, robots: Sequence[str], ends: str = WHOLE) -> tuple[Action, str | None]:
     """What a line asks for, and of which robot (None: all). Raises `NotUnderstood`.
 
     What is not understood must not do anything, but an empty line, the quickest there is, stops everybody.
@@ -61,14 +69,13 @@ def meaning(line: str, robots: Sequence[str]) -> tuple[Action, str | None]:
     said = words[0].lower() if words else ""
     action = WORDS.get(said)
     if action is None:
-        raise NotUnderstood(f"there is no command {_shown(said)}. {HELP}")
+        raise NotUnderstood(f"there is no command {_shown(said)}. {help_of(ends)}")
     who = " ".join(words[1:])
     if not who or who.lower() in EVERYBODY:
         return action, None
     if action == "end":
-        raise NotUnderstood(
-            f"'end' ends the whole mission and takes no robot, got {_shown(who)}. Nothing was done"
-        )
+        whole = "the whole mission" if ends == WHOLE else f"this {ends}"
+        raise NotUnderstood(f"'end' ends {whole} and takes no robot, got {_shown(who)}. Nothing was done")
     alike = [name for name in robots if name.casefold() == who.casefold()]
     if who not in robots and len(alike) == 1:
         who = alike[0]
@@ -98,8 +105,11 @@ class Typed:
 
 
 @contextlib.contextmanager
-def keyboard(runner: Commanded) -> Iterator[None]:
-    """Lines typed at a terminal go to the mission while in here; without a terminal nothing is read."""
+def keyboard(runner: Commanded, ends: str = WHOLE) -> Iterator[None]:
+    """Lines typed at a terminal go to the mission while in here; without a terminal nothing is read.
+
+    `ends`: what "end" ends: the mission, this agent, this page.
+    """
     loop = asyncio.get_running_loop()
     if not (sys.stdin is not None and sys.stdin.isatty()):
         yield
@@ -109,7 +119,7 @@ def keyboard(runner: Commanded) -> Iterator[None]:
 
     def obey(line: str) -> None:
         try:
-            action, robot = meaning(line, runner.mission.kernel.engine.robots)
+            action, robot = meaning(line, runner.mission.kernel.engine.robots, ends)
         except NotUnderstood as refusal:
             print(refusal, file=sys.stderr)
             return

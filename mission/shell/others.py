@@ -8,6 +8,13 @@ from fieldkit.engine.decentralised.card import Card, clock_refusal, refusal, str
 from fieldkit.engine.decentralised.talk import Talk
 from mission.core.lines import Lines
 
+ORDERED = {
+    "hold": "held by the operator",
+    "return": "on its way home",
+    "release": "released to somebody else",
+    "withdraw": "out of the mission",
+}
+"""What a robot does that has a standing order."""
 MOST_MISSIONS = 5
 """So many other missions are named: what those say of themselves anybody may have made up."""
 
@@ -74,6 +81,14 @@ class Contacts:
             said.append(f"nothing was heard of {', '.join(sorted(without))}: it goes on {alone}")
         self.present, self._without = present, without
         return said
+
+    def absent(self) -> dict[str, str]:
+        """Robots out of contact, and how old what is known of each is, in words."""
+        return {
+            name: f"out of contact: {f'known {age_s:.0f} s ago' if math.isfinite(age_s) else 'never heard of'}"
+            for name, age_s in self.ages_s.items()
+            if name not in self.present
+        }
 
 
 @dataclass

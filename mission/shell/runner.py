@@ -379,6 +379,10 @@ class Runner:
             [f"NOTHING IS RECORDED: {self.recorder.failure}"] if self.recorder.failure else []
         )
 
+    def doing(self) -> dict[str, str]:
+        """What each robot does, in words."""
+        return dict(self._doing)
+
     def _show_now(self) -> None:
         """Without a tick, on every surface."""
         self._show(self.setup.clock.now_ns(), NOTHING)
@@ -389,7 +393,7 @@ class Runner:
             self.kernel.elapsed_s(t_ns),
             self.kernel.detections,
             self.kernel,
-            dict(self._doing),
+            self.doing(),
             outcome.notes,
             self.records.left,
             tuple(self.alarms()),

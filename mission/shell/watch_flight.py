@@ -46,8 +46,12 @@ def watch_team(
     bytes_s: float,
     on_progress: Callable[[Progress], None] = lambda _: None,
     page: "LivePage | None" = None,
+    on_start: Callable[[Watching], None] = lambda _: None,
 ) -> Watching:
-    """Watch the robots' agents until the operator ends it; what watched, ended. Files are closed whatever happens."""
+    """Watch the robots' agents until the operator ends it; what watched, ended. Files are closed whatever happens.
+
+    `on_start` is given what watches before it runs.
+    """
     watcher, card = make_watcher(mission, clock, key, bytes_s)
     with ExitStack() as stack:
         journal = stack.enter_context(closing(journals.Journal(folder / journals.NAME)))
@@ -57,11 +61,12 @@ def watch_team(
         watching = Watching(
             mission, clock, network, key, card, watcher, journal, common, recorder, on_progress, page
         )
+        on_start(watching)
 
         async def run() -> None:
             if page is not None:
                 page.attach(watching)
-            with keyboard(watching):
+            with keyboard(watching, "page"):
                 await watching.run()
 
         asyncio.run(run())

@@ -7,7 +7,6 @@ being stepped through hours of the past in its thread. Messages are taken in mea
 import asyncio
 import contextlib
 import logging
-import math
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -30,6 +29,7 @@ from mission.shell.chronicle import Chronicle
 from mission.shell.intake import end_tasks
 from mission.shell.journal import RESUME_WITHIN_S, Journal
 from mission.shell.member import Member
+from mission.shell.others import ORDERED
 from mission.shell.progress import Progress
 from mission.shell.recorder import Look, MissionRecorder
 from mission.shell.setups import Setup
@@ -85,6 +85,8 @@ class Watching:
     on_progress: Callable[[Progress], None] = lambda _: None
     page: "LivePage | None" = None
     end_reason: str = ""
+    begun: bool = False
+    """Whether anything was heard, or ordered."""
     safety: Safety = field(init=False)
     """Judges nothing: it knows which areas are closed."""
 
@@ -139,6 +141,7 @@ class Watching:
 
     def put(self, event: Event) -> None:
         """An order of this computer's operator: it goes out at once."""
+        self.begun = True
         if not isinstance(event, Operator):
             return
         if event.action == "end":
@@ -165,7 +168,7 @@ class Watching:
     async def _listen(self) -> None:
         watcher = self.watcher
         async for data in self.network.messages():
-            now_ns = self.clock.now_ns()
+            self.begun, now_ns = True, self.clock.now_ns()
             if data.startswith(MARK):
                 self._meet(data, now_ns)
                 continue
@@ -265,7 +268,7 @@ class Watching:
             self.kernel.elapsed_s(now_ns),
             self.kernel.detections,
             self.kernel,
-            self._doing | self._out_of_reach(now_ns),
+            self.doing(),
             outcome.notes,
             self.records.left,
             tuple(self.alarms()),
@@ -276,13 +279,14 @@ class Watching:
             self.on_progress = lambda _: None
             logger.exception("progress is no longer shown; the page goes on")
 
-    def _out_of_reach(self, now_ns: int) -> dict[str, str]:
-        ages_s = self.watcher.lines.ages_s(now_ns)
-        return {
-            name: f"out of contact: {_age(ages_s[name])}"
-            for name in self.watcher.logs.robots
-            if name not in self._member.contacts.present
+    def doing(self) -> dict[str, str]:
+        """What robots do: as planned, unless they have an order, or nobody knows."""
+        ordered = {
+            name: ORDERED[order.action] if shown else f"{order.action}: not shown yet"
+            for name, (order, shown) in self.watcher.orders.standing().items()
+            if order.action in ORDERED
         }
+        return self._doing | ordered | self._member.contacts.absent()
 
     def alarms(self) -> Sequence[str]:
         """Who is to hold and has not shown it, orders that nobody has yet, a recording that has stopped."""
@@ -313,7 +317,3 @@ class Watching:
 
 def _words(order: Operator) -> str:
     return f"{order.action} {order.robot or 'all'}"
-
-
-def _age(age_s: float) -> str:
-    return f"known {age_s:.0f} s ago" if math.isfinite(age_s) else "never heard of"

@@ -17,7 +17,7 @@ from mission.page.commands import ACTIONS, checked_command, message_of, number_o
 from mission.page.serve import LivePage
 from mission.page.server import Mailbox, Page
 from mission.safety.limits import SafetySettings
-from mission.shell.keyboard import HELP, NotUnderstood, meaning
+from mission.shell.keyboard import NotUnderstood, help_of, meaning
 
 ROBOTS = ("r1", "r2", "left rover")
 JSON = st.recursive(
@@ -204,4 +204,7 @@ async def test_the_page_refuses_to_close_the_whole_field() -> None:
 
 
 def test_the_line_of_keys_fits_a_terminal_of_80_columns() -> None:
-    assert len(HELP) < 80
+    for ends in ("mission", "agent", "page"):
+        assert len(help_of(ends)) < 80 and help_of(ends).endswith(ends)
+        with pytest.raises(NotUnderstood, match=f"Ctrl-C: end .*{ends}$"):
+            meaning("dance", ROBOTS, ends)

@@ -121,6 +121,17 @@ def test_a_clock_that_was_never_set_is_said_before_anything_is_touched(
     assert not out.exists()
 
 
+def test_a_start_that_fails_leaves_no_folder(tmp_path: Path, fields: Fields) -> None:
+    prepare(tmp_path, fields)
+    path = tmp_path / "mission.toml"
+    path.write_text(path.read_text().replace(fields["r2"][0].receiver_ports["r2"], str(tmp_path / "nothing")))
+    out = tmp_path / "runs"
+    command = [sys.executable, "-m", "fieldkit", "agent", str(path), "--robot", "r2", "--no-scouting"]
+    done = subprocess.run([*command, "--out", str(out)], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "nothing was begun" in done.stderr, done.stderr
+    assert not out.exists()
+
+
 def fill_disk(agent: Agent) -> None:
     """From now on no file of an agent grows: as on a disk that has become full. What it prints is shorter."""
     log = agent.log / "observations.log"

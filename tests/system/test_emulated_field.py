@@ -63,3 +63,25 @@ def test_what_it_writes_passes_check_and_preflight_and_flies(tmp_path: Path) -> 
         finally:
             field.send_signal(signal.SIGINT)
             field.wait(20)
+
+
+@pytest.mark.timeout(120)
+def test_for_agents_each_vehicle_has_an_address_of_its_own(tmp_path: Path) -> None:
+    port = free_udp_port()
+    words = ["emulate", "field", "--robots", "2", "--agents", "--address", f"127.0.0.1:{port}"]
+    fieldkit = [sys.executable, "-m", "fieldkit"]
+    with subprocess.Popen([*fieldkit, *words], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as field:
+        assert field.stdout is not None
+        said = ""
+        while "Ctrl-C ends it" not in said:
+            line = field.stdout.readline()
+            assert line, said
+            said += line
+        field.send_signal(signal.SIGINT)
+        field.wait(20)
+    text = (tmp_path / "emulated-field" / "mission.toml").read_text()
+    for number in (1, 2):
+        address = f"127.0.0.1:{port + number - 1}"
+        assert f"robot{number} sends to {address}" in said
+        assert f'address = "udpin:{address}", system_id = {number}' in text
+    assert "fieldkit agent emulated-field/mission.toml --robot robot2" in said
