@@ -63,6 +63,11 @@ class SafetyApart(Safety):
     _asked_ns: int = 0
     """When the waiting way was last asked for."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, robot in self.robots.items():
+            robot.has_agent = name != self.me
+
     @property
     def _clear_m(self) -> float:
         return CLEAR_OF_NEAR * self.settings.near_m

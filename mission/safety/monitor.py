@@ -112,6 +112,8 @@ class Watched:
     """Why the steering loop is late at this tick; empty where it is not."""
     resumed_ns: int = LONG_AGO_NS
     """When the operator last asked for it to go on."""
+    has_agent: bool = False
+    """A computer of its own steers it on where it is not heard: nothing stops it before the end of its way."""
 
     @property
     def moving(self) -> bool:
@@ -171,7 +173,9 @@ class Watched:
         if drives is None:
             return None
         segment = Segment(here, drives.end_m, drives.speed_m_s)
-        return replace(segment, end_m=segment.at(FADING_S)) if segment.length_m else None
+        if self.has_agent or segment.length_m == 0:
+            return segment if segment.length_m else None
+        return replace(segment, end_m=segment.at(FADING_S))
 
     @property
     def strays(self) -> bool:

@@ -267,3 +267,15 @@ def test_a_new_path_keeps_off_by_what_positions_may_be_off(sigma_m: float, clear
         safety = prompt(sigma_m)
         safety.observe(Pose(START_NS + 1, "r1", 1.0, 1.0 + clear_m + more_m, sigma_m=sigma_m))
         assert isinstance(safety.allow(order("r1", 4.6, 1.0 + clear_m + more_m)), kind)
+
+
+def test_one_that_is_not_heard_goes_on_to_the_end_of_its_way() -> None:
+    """Its own agent steers it: nothing stops it after 15 s, as a robot whose only computer is silent."""
+    safety = SafetyApart(SETTINGS, me="r1", contact_m=6.0)
+    for name, place in zip(ROBOTS, STARTS_M, strict=True):
+        safety.observe(VehicleState(START_NS, name, "guided", True))
+        safety.observe(Pose(START_NS, name, *place))
+    safety.expect("r2", Way(1, (4.0, 1.0), (4.0, 4.5), 0.1))
+    tick(safety, 21.0)
+    refused = safety.allow(GoTo(START_NS + 21 * 10**9, "r1", Waypoint(4.5, 4.5, 0.4)))
+    assert isinstance(refused, Hold) and "where r2 may be" in refused.reason
