@@ -191,9 +191,9 @@ class AgentRunner(Runner):
             self._speak()
             await clock.sleep(TICK_S)
         if not self.crew.agent.talk.in_range(clock.now_ns()):
-            where = self.crew.network.where
+            where, wait_s = self.crew.network.where, self.crew.agent.patience_s
             self._say(
-                f"no other agent is heard yet (looked {where}); it goes on looking, and after a while alone"
+                f"no other agent is heard yet (looked {where}): it goes on looking, and after {wait_s:g} s alone"
             )
         await super()._start()
 
