@@ -19,6 +19,7 @@ HAND = "by hand while the trust study was made; not varied since"
 FACTORIAL = "factorial of 160 simulated missions with eight sources"
 MEMORY = "bounds time and memory"
 CHECKS = "missions whose sources are moved, against the time until all is found (docs/studies/world.md)"
+PLANNERS = "missions of one pair over one source, then pairs of missions (study planners)"
 RADIO = "readings of XBee and 802.15.4 radios in the field logs"
 
 
@@ -250,6 +251,32 @@ class InfogainTuning(_Table):
 
 
 @dataclass(frozen=True, slots=True)
+class Infogain2Tuning(InfogainTuning):
+    """Planner `infogain2`: which paths it compares, and by which reward."""
+
+    paths_per_candidate: int = tuned(40, 1, 1_000, "", "paths round each candidate", PLANNERS)
+    budget: int = tuned(
+        0,
+        0,
+        100_000,
+        "",
+        "paths that local search values beside the first ones; 0: it is left out",
+        PLANNERS,
+    )
+    resolve_value: float = tuned(4.0, 0.0, 1_000.0, "", "of a candidate's place made certain", PLANNERS)
+    reception_value: float = tuned(3.0, 0.0, 1_000.0, "", "of its receptions", PLANNERS)
+    target_cells: float = tuned(0.3, 0.01, 100.0, "cell", "standard deviation that is aimed at", PLANNERS)
+    settle_value: float = tuned(
+        8.0,
+        0.0,
+        1_000.0,
+        "",
+        "of a find's place made certain, times the probability that it is off",
+        FACTORIAL,
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class RidgeTuning(_Table):
     """Planners `rwa`, `prwa` and `dprwa`, as their papers say, and ways on the ground."""
 
@@ -277,6 +304,7 @@ class Tuning:
     intensity: IntensityTuning = IntensityTuning()
     paper_beliefs: PaperBeliefTuning = PaperBeliefTuning()
     infogain: InfogainTuning = InfogainTuning()
+    infogain2: Infogain2Tuning = Infogain2Tuning()
     ridges: RidgeTuning = RidgeTuning()
 
     def tables(self) -> dict[str, dict[str, Any]]:

@@ -23,7 +23,7 @@ from mission.lab.bench import settings
 
 CLEARANCE_M = RidgeTuning().clearance_m
 
-OTHERS = [name for name in plugins.names("fieldkit.planners") if name != "infogain"]
+OTHERS = [name for name in plugins.names("fieldkit.planners") if not name.startswith("infogain")]
 WALL = KeepOut((((11.0, -1.0), (12.0, -1.0), (12.0, 20.0), (11.0, 20.0)),))
 S = 1_000_000_000
 

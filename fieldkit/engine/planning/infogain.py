@@ -4,6 +4,8 @@
 comes nearer to another team than the separation, or leads further than a robot's battery brings it home from.
 """
 
+from typing import ClassVar
+
 import numpy as np
 
 from fieldkit.engine.belief.base import Belief
@@ -12,29 +14,42 @@ from fieldkit.engine.planning.reward import Reward, hearing_of
 from fieldkit.engine.planning.search import Departure, Search, Way
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan, Waypoint
+from fieldkit.tuning import InfogainTuning
 
 
 class InfoGainPlanner(Planner):
     """See the module."""
 
     TEAM_BY_TEAM = True
+    NAME: ClassVar = "infogain"
+    REWARD: ClassVar[type[Reward]] = Reward
 
     def __init__(self, settings: EngineSettings) -> None:
         self.settings = settings
         self.grid = settings.grid
-        self._tuning = settings.tuning.infogain
+        self._tuning = self._table(settings)
         self._rng = np.random.default_rng([settings.seed, 0x1F0])
-        self._search = Search(settings, self._rng)
+        self._search = Search(settings, self._tuning, self._rng)
         self._last: dict[tuple[str, ...], Way] = {}
         shortest_m = float(settings.antenna.nominal_range_m(min(settings.power_levels_db)))
         self._block = max(1, int(self._tuning.ground_block * shortest_m / settings.grid.cell_m))
         """Ground is valued in squares of so many cells: finer than that, ranges blur it anyway."""
 
+    @staticmethod
+    def _table(settings: EngineSettings) -> InfogainTuning:
+        """The planner's own table of the tuning."""
+        return settings.tuning.infogain
+
+    @staticmethod
+    def _budget(settings: EngineSettings) -> int:
+        """Further paths that local search may value for one team."""
+        return 0
+
     def plan(self, situation: Situation, belief: Belief) -> Plan:
         """Paths for all teams of the situation. Raises `ConfigError` for a belief that is not informative."""
-        informed = informative(belief, "infogain")
+        informed = informative(belief, self.NAME)
         horizon_s = max(self._tuning.horizon_s, 1.5 * self.settings.planning_period_s)
-        reward = self._reward(informed, situation.removed)
+        reward = self._reward(informed, situation.removed, horizon_s)
         for team, busy in situation.busy.items():
             if all(robot in situation.position_m for robot in team):
                 ears = hearing_of(self.settings, team, situation.up_m)
@@ -47,6 +62,9 @@ class InfoGainPlanner(Planner):
             options = self._search.options(departure, reward)
             ears = hearing_of(self.settings, team, situation.up_m)
             rewards = reward.of(options.tracks_m, ears)
+            options, rewards = self._search.improved(
+                departure, reward, ears, options, rewards, self._budget(self.settings)
+            )
             best = int(np.argmax(rewards)) if rewards.size else -1
             if (
                 best < 0 or rewards[best] == -np.inf
@@ -62,12 +80,13 @@ class InfoGainPlanner(Planner):
                 paths[robot], purpose[robot] = path, options.purpose[best]
         return Plan(situation.t_ns, paths, purpose)
 
-    def _reward(self, belief: InformativeBelief, removed: frozenset[int]) -> Reward:
+    def _reward(self, belief: InformativeBelief, removed: frozenset[int], horizon_s: float) -> Reward:
         value = blocks_summed(self._tuning.ground_value * belief.ground_value(), self._block)
         unresolved = [
             each for each in belief.unresolved(self._tuning.samples, self._rng) if each.ident not in removed
         ]
-        return Reward(self.settings, belief.model, value, self._block * self.grid.cell_m, unresolved)
+        square_m = self._block * self.grid.cell_m
+        return self.REWARD(self.settings, self._tuning, belief.model, value, square_m, horizon_s, unresolved)
 
 
 def blocks_summed(value: FloatArray, block: int) -> FloatArray:

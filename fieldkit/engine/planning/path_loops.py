@@ -261,6 +261,50 @@ def all_information(
 
 
 @njit(cache=True, nogil=True)
+def all_learnt(
+    tracks: FloatArray,
+    dt: float,
+    points: FloatArray,
+    point_level: FloatArray,
+    hear: FloatArray,
+    step2: float,
+    min_range: float,
+    ears: FloatArray,
+    out: FloatArray,
+) -> None:
+    """What each of tracks (n, steps, m, 2) would learn of a source, were it at one of `points` (k, 2).
+
+    out (n, k, 7), all per unit rate: expected receptions (s); of readings at distance d by P(heard), the sums of
+    ee, en, nn / d^4, of e, n / d^2, and of 1, where (e, n) points from the robot to the source. `point_level` (k,) is
+    an index into hear (h, steps).
+    """
+    last = hear.shape[1] - 1
+    out[:] = 0.0
+    for a in range(tracks.shape[0]):
+        for i in range(points.shape[0]):
+            h = int(point_level[i])
+            for t in range(tracks.shape[1]):
+                silent = 1.0
+                for q in range(tracks.shape[2]):
+                    de = points[i, 0] - tracks[a, t, q, 0]
+                    dn = points[i, 1] - tracks[a, t, q, 1]
+                    d2 = de * de + dn * dn
+                    k = int(as_far2(d2, ears, q) / step2)
+                    if k < last:
+                        p = hear[h, k]
+                        silent *= 1.0 - p
+                        d2 = max(d2 + ears[q, 0] * ears[q, 0], min_range * min_range)
+                        w = dt * p / (d2 * d2)
+                        out[a, i, 1] += w * de * de
+                        out[a, i, 2] += w * de * dn
+                        out[a, i, 3] += w * dn * dn
+                        out[a, i, 4] += dt * p * de / d2
+                        out[a, i, 5] += dt * p * dn / d2
+                        out[a, i, 6] += dt * p
+                out[a, i, 0] += dt * (1.0 - silent)
+
+
+@njit(cache=True, nogil=True)
 def all_clear(tracks: FloatArray, others: FloatArray, separation: float, out: FloatArray) -> None:
     """out (n,): 1 where a track of (n, steps, m, 2) does not meet `others`, else 0."""
     for i in range(tracks.shape[0]):

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldkit.channel.model import MIN_RANGE_M
 from fieldkit.engine.belief.base import Unresolved
@@ -17,6 +18,7 @@ from fieldkit.engine.planning import path_loops
 from fieldkit.engine.planning.base import HearingModel
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray
+from fieldkit.tuning import InfogainTuning
 
 
 class Reward:
@@ -28,28 +30,28 @@ class Reward:
     def __init__(
         self,
         settings: EngineSettings,
+        tuning: InfogainTuning,
         model: HearingModel,
         ground: FloatArray,
         square_m: float,
+        horizon_s: float,
         unresolved: list[Unresolved],
     ) -> None:
         self.unresolved = unresolved
         self._taken_m: FloatArray | None = None
         """(steps, k, 2): tracks of all robots so far."""
-        self._settings, self._tuning = settings, settings.tuning.infogain
+        self._settings, self._tuning = settings, tuning
         self._model = model
         self._ground = ground
         """(n_north, n_east) of squares of side `square_m`: expected number of sources not among the candidates."""
-        self.square_m = square_m
-        self._rate_hz = self._tuning.ground_rate * settings.reference_rate_hz
-        self._check_value = self._tuning.check_value * math.exp(
-            -float(ground.sum()) / self._tuning.check_left
-        )
+        self.square_m, self._horizon_s = square_m, horizon_s
+        self._rate_hz = tuning.ground_rate * settings.reference_rate_hz
+        self._check_value = tuning.check_value * math.exp(-float(ground.sum()) / tuning.check_left)
         """Less while something is left to be found."""
         self._planned_s = np.zeros(ground.shape)
         """P(heard) integrated over the time of the tracks taken."""
-        self._learnt = [np.zeros(4) for _ in unresolved]
-        """Exposure and information per unit rate that they give of each candidate."""
+        self._learnt = [self._nothing(each) for each in unresolved]
+        """What they learn of each candidate."""
         self._scratch = np.empty(ground.shape)
 
     def left(self) -> FloatArray:
@@ -62,9 +64,8 @@ class Reward:
         self._newly_heard(track_m[None], np.ones(1), ears)
         self._planned_s += self._scratch
         for index, candidate in enumerate(self.unresolved):
-            self._learnt[index] = (
-                self._learnt[index] + self._information_of(candidate, track_m[None], ears)[0]
-            )
+            information = self._information_of(candidate, track_m[None], ears)
+            self._learnt[index] = self._with(self._learnt[index], information)[0]
         before = self._taken_m
         self._taken_m = track_m if before is None else np.concatenate([before, track_m], axis=1)
 
@@ -76,8 +77,10 @@ class Reward:
         total = self._newly_heard(tracks_m, self._clear(tracks_m), ears)
         for candidate, before in zip(self.unresolved, self._learnt, strict=True):
             information = self._information_of(candidate, tracks_m, ears)
-            gained = self._progress(candidate, before + information) - self._progress(candidate, before[None])
-            total += np.where(information[:, 0] > 1e-3, gained, 0.0)
+            after = self._progress(candidate, self._with(before, information))
+            total += np.where(
+                self._is_heard(information), after - self._progress(candidate, before[None]), 0.0
+            )
         return total
 
     def _clear(self, tracks_m: FloatArray) -> FloatArray:
@@ -106,6 +109,12 @@ class Reward:
         )
         return gain
 
+    # -- candidates --------------------------------------------------------------------------------------
+
+    def _nothing(self, candidate: Unresolved) -> FloatArray:
+        """(4,): exposure and information per unit rate of no track."""
+        return np.zeros(4)
+
     def _information_of(self, candidate: Unresolved, tracks_m: FloatArray, ears: FloatArray) -> FloatArray:
         """(n, 4) exposure and information per unit rate that tracks (n, steps, m, 2) give of a candidate."""
         information = np.empty((len(tracks_m), 4))
@@ -121,6 +130,12 @@ class Reward:
             information,
         )
         return information
+
+    def _with(self, before: FloatArray, information: FloatArray) -> FloatArray:
+        return before + information
+
+    def _is_heard(self, information: FloatArray) -> NDArray[np.bool_]:
+        return np.asarray(information[:, 0] > 1e-3)
 
     def _progress(self, candidate: Unresolved, information: FloatArray) -> FloatArray:
         """(n,) reward for what is known of a candidate given this (n, 4) exposure and information."""

@@ -18,17 +18,23 @@ from fieldkit.engine.planning.base import Situation, legs_within_range, track
 from fieldkit.engine.planning.reward import Reward
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import FloatArray, Plan
+from fieldkit.tuning import InfogainTuning
 
 Place = tuple[float, float]
 """East and north, in metres."""
 Way = list[Place]
 """Corners of the way of a team's middle."""
+BATCH, PARENTS = 16, 4
+"""Local search moves so many ways at a time, made of so many of the best so far."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Options:
     """n paths of a team to choose from."""
 
+    ways: list[Way]
+    spacing_m: FloatArray
+    """(n,) how far abreast the team would drive."""
     purpose: list[str]
     places_m: FloatArray
     """(n, most legs, m, 2)"""
@@ -71,10 +77,9 @@ class Departure:
 class Search:
     """Proposes ways and drives them; what it draws comes from `rng`."""
 
-    def __init__(self, settings: EngineSettings, rng: np.random.Generator) -> None:
+    def __init__(self, settings: EngineSettings, tuning: InfogainTuning, rng: np.random.Generator) -> None:
         self.settings, self.grid = settings, settings.grid
-        self._tuning = settings.tuning.infogain
-        self._rng = rng
+        self._tuning, self._rng = tuning, rng
         ranges = settings.antenna.nominal_range_m(np.array(settings.power_levels_db))
         self._typical_m = float(np.median(ranges))
         self._spacings_m = [
@@ -178,6 +183,49 @@ class Search:
             ways.append([(east + radius * math.sin(a), north + radius * math.cos(a)) for a in angles])
         return ways
 
+    # -- local search ------------------------------------------------------------------------------------
+
+    def improved(
+        self,
+        departure: Departure,
+        reward: Reward,
+        ears: FloatArray,
+        options: Options,
+        rewards: FloatArray,
+        budget: int,
+    ) -> tuple[Options, FloatArray]:
+        """The best of `options` and what becomes of them by moving their corners, with their rewards (n,).
+
+        `budget` further paths are valued, a batch at a time: each is one of the best so far with corners moved, at
+        first by about a range and then by less. A budget of 0 leaves the options as they are.
+        """
+        left = budget
+        while left > 0 and rewards.size and rewards.max() > -np.inf:
+            count = min(BATCH, left)
+            best = np.argsort(-rewards, kind="stable")[:PARENTS]
+            best = best[rewards[best] > -np.inf]
+            far_m = self._typical_m * max(0.1, left / budget)
+            parents = [int(best[index % len(best)]) for index in range(count)]
+            moved = self._driven(
+                departure,
+                [self._moved(options.ways[parent], far_m) for parent in parents],
+                options.spacing_m[parents],
+                [options.purpose[parent] for parent in parents],
+            )
+            left -= count
+            options = _together(options, best, moved)
+            rewards = np.concatenate([rewards[best], reward.of(moved.tracks_m, ears)])
+        return options, rewards
+
+    def _moved(self, way: Way, far_m: float) -> Way:
+        """A way with one of its corners, or all, moved by about `far_m`."""
+        shift = self._rng.normal(0.0, far_m, (len(way), 2))
+        only = int(self._rng.integers(2 * len(way)))
+        return [
+            (place[0] + shift[k, 0], place[1] + shift[k, 1]) if only >= len(way) or k == only else place
+            for k, place in enumerate(way)
+        ]
+
     # -- driving -----------------------------------------------------------------------------------------
 
     def _driven(
@@ -204,7 +252,10 @@ class Search:
         path_loops.all_tracks(
             places, legs, start, s.max_speed_m_s, math.radians(s.max_turn_deg_s), self._tuning.step_s, tracks
         )
-        return Options([p for p, kept in zip(purpose, can, strict=True) if kept], places, legs, tracks)
+        kept = np.flatnonzero(can).tolist()
+        return Options(
+            [ways[i] for i in kept], spacing_m[can], [purpose[i] for i in kept], places, legs, tracks
+        )
 
     def _blocked(self, start: FloatArray, places: FloatArray) -> bool:
         """Whether a robot's way from `start` (m, 2) over places (legs, m, 2) crosses ground to be kept out of."""
@@ -218,3 +269,15 @@ class Search:
     def _n_steps(self, horizon_s: float) -> int:
         """Points of a track."""
         return max(1, int(horizon_s / self._tuning.step_s))
+
+
+def _together(some: Options, which: NDArray[np.int64], others: Options) -> Options:
+    """Those of some options, and all others."""
+    return Options(
+        [some.ways[i] for i in which] + others.ways,
+        np.concatenate([some.spacing_m[which], others.spacing_m]),
+        [some.purpose[i] for i in which] + others.purpose,
+        np.concatenate([some.places_m[which], others.places_m]),
+        np.concatenate([some.legs[which], others.legs]),
+        np.concatenate([some.tracks_m[which], others.tracks_m]),
+    )

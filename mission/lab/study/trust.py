@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fieldkit import settings as given
 from fieldkit.channel.model import Antenna
 from fieldkit.channel.spread import assumed, known_power
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
@@ -47,6 +48,7 @@ class Scenario:
     stop_left: float | None = None
     paper: bool = False
     """The paper's PRWA on its own belief instead of the default engine."""
+    planner: str = given.PLANNER
 
     @property
     def wrong(self) -> bool:
@@ -128,7 +130,9 @@ def trial(job: Job) -> dict[str, Any]:
         pose_bias_m=scenario.pose_bias_m,
     )
     engine = settings(job.seed, exponent=EXPONENT + scenario.exponent_off)
-    kernel = KernelSettings(engine, max_duration_s=15_000.0 if scenario.paper else CAP_S)
+    kernel = KernelSettings(
+        engine, planner=scenario.planner, max_duration_s=15_000.0 if scenario.paper else CAP_S
+    )
     if scenario.paper:
         engine = replace(engine, sensing="pairwise", prior_rule="dirichlet")
         kernel = replace(kernel, engine=engine, belief="spog", planner="prwa")
