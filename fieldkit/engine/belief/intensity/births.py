@@ -1,6 +1,7 @@
 """Where candidates come from: a place where one more source explains what was heard, and points that get finer."""
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,17 @@ if TYPE_CHECKING:
     from fieldkit.engine.belief.intensity.mixture import Mixture, OpenDetection
 
 MOST_STILLBORN = 20
+AGAIN_AFTER = 1.25
+"""Times the detections after which a candidate that did not last is tried again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Born:
+    """Where a candidate was tried, at what odds, and how many detections there were."""
+
+    at_m: tuple[float, float]
+    odds: float
+    detections: int
 
 
 def birth(mixture: "Mixture") -> bool:
@@ -18,11 +30,12 @@ def birth(mixture: "Mixture") -> bool:
     expected = mixture.another_source()
     prior = mixture.settings.expected_sources * mixture.ground.sources_a_cell / mixture.model.n_known
     place = np.where(expected > prior, expected, 0.0).sum(axis=0)
-    for (east, north), odds in mixture.stillborn:
+    for tried in mixture.stillborn:
         # What did not last is tried again when there is much more to be said for it.
-        far2 = (mixture.grid.east_m[None, :] - east) ** 2 + (mixture.grid.north_m[:, None] - north) ** 2
+        far2 = (mixture.grid.east_m[None, :] - tried.at_m[0]) ** 2
+        far2 = far2 + (mixture.grid.north_m[:, None] - tried.at_m[1]) ** 2
         near_it = far2 <= (mixture.model.reach_m / 2.0) ** 2
-        if place[near_it].sum() < mixture.tuning.again_odds * odds:
+        if place[near_it].sum() < mixture.tuning.again_odds * tried.odds and not _much_newer(mixture, tried):
             place[near_it] = 0.0
     if place.sum() < mixture.tuning.birth_odds:
         return False
@@ -60,16 +73,23 @@ def birth(mixture: "Mixture") -> bool:
     mixture.forget_summaries()
     mixture.candidates.append(candidate)
     at = float(mixture.grid.east_m[column]), float(mixture.grid.north_m[row])
-    mixture.born[candidate.ident] = (at, float(place.sum()))
+    mixture.born[candidate.ident] = Born(at, float(place.sum()), mixture.next_detection)
     return True
 
 
+def _much_newer(mixture: "Mixture", tried: Born) -> bool:
+    """Whether so much was heard since that it is worth another try.
+
+    Under place noise detections near each other are no new witnesses: only the odds count.
+    """
+    return mixture.places is None and mixture.next_detection >= AGAIN_AFTER * tried.detections
+
+
 def remember_births(mixture: "Mixture") -> None:
-    """Where a candidate was tried that did not last, under place noise: there every detection would try again."""
+    """Where a candidate was tried that did not last: else every detection would try again."""
     lived = {candidate.ident for candidate in mixture.candidates}
-    if mixture.places is not None:
-        gone = [each for ident, each in mixture.born.items() if ident not in lived]
-        mixture.stillborn = [*mixture.stillborn, *gone][-MOST_STILLBORN:]
+    gone = [each for ident, each in mixture.born.items() if ident not in lived]
+    mixture.stillborn = [*mixture.stillborn, *gone][-MOST_STILLBORN:]
     mixture.born.clear()
 
 

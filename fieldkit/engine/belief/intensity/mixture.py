@@ -12,10 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldkit.engine.belief.intensity import hypotheses as hypotheses
-from fieldkit.engine.belief.intensity import loops
+from fieldkit.engine.belief.intensity import births, hypotheses, loops
 from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
-from fieldkit.engine.belief.intensity.births import birth, claim_by_name, is_coarse, refine, remember_births
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, summarise
 from fieldkit.engine.belief.intensity.freezing import freeze
 from fieldkit.engine.belief.intensity.ground import ground_of
@@ -103,9 +101,9 @@ class Mixture:
         """Detection to the log of the intensity with which clutter and the candidates explain it."""
         self.revise_at: dict[int, float] = {}
         """Candidate to the receptions at which its hypothesis is next re-estimated."""
-        self.born: dict[int, tuple[tuple[float, float], float]] = {}
-        """Candidates born at this detection, where, and at what odds."""
-        self.stillborn: list[tuple[tuple[float, float], float]] = []
+        self.born: dict[int, births.Born] = {}
+        """Candidates born at this detection."""
+        self.stillborn: list[births.Born] = []
         """The same of those that did not last."""
         self.merge_at: dict[tuple[int, int], float] = {}
         """Neighbours to the receptions of both at which it is next asked whether they are one."""
@@ -127,7 +125,7 @@ class Mixture:
         self.since_ns: int | None = None
         self.stay_s = self.tuning.change_s
         self.clutter_frozen = 0.0
-        self._next_detection, self._next_ident = 0, 1
+        self.next_detection, self._next_ident = 0, 1
         self._summaries: dict[int, Summary] = {}
 
     def listen(self, listening: Listening) -> None:
@@ -180,11 +178,11 @@ class Mixture:
             candidate.expose(self.exposure_at(candidate.points_m))
         self.sweep(self.tuning.sweeps)
         for _ in range(1 + len(detections)):
-            if not birth(self):
+            if not births.birth(self):
                 break
             self.sweep(self.tuning.sweeps)
         self._settle()
-        remember_births(self)
+        births.remember_births(self)
         watch_receivers(self, detections)
         for candidate in self.candidates:
             note_heard(self, candidate)
@@ -202,8 +200,8 @@ class Mixture:
         return better
 
     def _open(self, detection: Detection) -> None:
-        number = self._next_detection
-        self._next_detection += 1
+        number = self.next_detection
+        self.next_detection += 1
         named = self.settings.identity == "address" and detection.sender is not None
         if named:
             self.named.add(number)
@@ -211,7 +209,7 @@ class Mixture:
         self.open[number] = stored
         self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
         if named and detection.sender is not None:
-            claim_by_name(self, number, stored, detection.sender)
+            births.claim_by_name(self, number, stored, detection.sender)
             return
         if self.settings.identity == "address" and not self._nameless:
             self._nameless = True
@@ -378,8 +376,8 @@ class Mixture:
         self.explained.update(zip(numbers, left.explained.tolist(), strict=True))
         for candidate in self.candidates:
             candidate.prune()
-            if is_coarse(self, candidate):
-                refine(self, candidate)
+            if births.is_coarse(self, candidate):
+                births.refine(self, candidate)
                 self._summaries.pop(candidate.ident, None)
 
     def summary(self, candidate: Candidate) -> Summary:
