@@ -54,6 +54,15 @@ def _finite(**options: float) -> None:
 
 
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same sources and noise.")]
+Around = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--with",
+        metavar="NAME=VALUE",
+        help="What the ground adds: shadow_db, shadow_m, walls, lobe_db, offset_db, deaf, packet_loss, foreign_hz, "
+        "collision_s, walk_m_s, jump_m, jump_s, wander_m. May be given more than once.",
+    ),
+]
 
 
 @emulate.command()
@@ -99,12 +108,15 @@ def rover(
     from drivers.emulators.field import EmulatedRobot
     from drivers.emulators.profiles import PROFILES
     from fieldkit.errors import ConfigError
+    from fieldkit.world.surroundings import NOTHING_AROUND
 
     if firmware not in PROFILES:
         raise ConfigError(f"--firmware: no '{firmware}'; there are: {', '.join(PROFILES)}")
     _finite(latitude_deg=latitude_deg, longitude_deg=longitude_deg, max_speed_m_s=max_speed_m_s)
     robots = (EmulatedRobot(firmware, system_id, 0.0, 0.0, firmware=firmware),)
-    run_field(robots, (), address, (latitude_deg, longitude_deg), max_speed_m_s, rate, seed)
+    run_field(
+        robots, (), address, (latitude_deg, longitude_deg), max_speed_m_s, rate, seed, 1.0, NOTHING_AROUND
+    )
 
 
 @emulate.command()
@@ -119,6 +131,7 @@ def field(
             "--agents", help="For 'fieldkit agent': a port for each robot, from that of --address on."
         ),
     ] = False,
+    around: Around = None,
     rate: Rate = 1.0,
     seed: Seed = 1,
     out: Annotated[
@@ -130,6 +143,8 @@ def field(
     Example: fieldkit emulate field --robots 4
 
     Example: fieldkit emulate field --robots 2 --agents
+
+    Example: fieldkit emulate field --with shadow_db=6 --with walls=4
     """
     import numpy as np
 
@@ -138,8 +153,10 @@ def field(
     from drivers.emulators.field import EmulatedRobot
     from drivers.links import host_and_port
     from fieldkit.world.sources import random_sources
+    from fieldkit.world.surroundings import surroundings_of
 
     _finite(size_m=size_m)
+    ground = surroundings_of(around or ())
     rng = np.random.default_rng(seed)
     hidden = random_sources(sources, size_m, size_m, (0.0,), HIDDEN_HZ, rng)
     write = partial(write_mission, out, size_m, sources, ORIGIN_DEG, SPEED_M_S, agents)
@@ -155,7 +172,7 @@ def field(
         for n in range(robots)
     )
     with claimed_folder(out):
-        run_field(team, tuple(hidden), address, ORIGIN_DEG, SPEED_M_S, rate, seed, write)
+        run_field(team, tuple(hidden), address, ORIGIN_DEG, SPEED_M_S, rate, seed, size_m, ground, write)
 
 
 @emulate.command()
@@ -172,6 +189,7 @@ def radios(
     ] = SOURCES,
     rate_hz: Annotated[float, typer.Option(help="How often a named one transmits.")] = 0.2,
     profile: Annotated[str, typer.Option(help="s1, s1pro, s2c or xb3.")] = PROFILE,
+    around: Around = None,
     seed: Seed = 1,
 ) -> None:
     """Give the robots of a mission file radios that hear from where their vehicles are, to rehearse with.
@@ -183,9 +201,12 @@ def radios(
 
     from drivers.emulators.rehearsal import named_sources, read_rehearsal, run_radios
     from fieldkit.clock import RealClock
+    from fieldkit.world.surroundings import surroundings_of
 
-    named = named_sources(source or (), rate_hz)
-    what = read_rehearsal(Path(mission), sources=named, count=sources, seed=seed, profile=profile)
+    named, ground = named_sources(source or (), rate_hz), surroundings_of(around or ())
+    what = read_rehearsal(
+        Path(mission), sources=named, count=sources, seed=seed, profile=profile, around=ground
+    )
     asyncio.run(run_radios(what, telemetry, RealClock(), seed, typer.echo))
 
 

@@ -26,6 +26,7 @@ from fieldkit.errors import ConfigError
 from fieldkit.files import write_whole
 from fieldkit.geo import FieldFrame
 from fieldkit.world.sources import TransientSource
+from fieldkit.world.surroundings import Surroundings
 
 ANTENNA = Antenna(path_loss_exponent=2.53, power_at_1m_dbm=-62.0, sigma_db=3.3, threshold_dbm=-70.0)
 """An XBee pair with little power near the ground, as that of the example's readings: heard to about 2 m."""
@@ -119,6 +120,8 @@ def run_field(
     max_speed_m_s: float,
     rate: float,
     seed: int,
+    size_m: float,
+    around: Surroundings,
     write: Callable[[list[tuple[str, int, str, str]]], None] | None = None,
 ) -> None:
     """A field of robots, until Ctrl-C.
@@ -128,7 +131,17 @@ def run_field(
     frame = FieldFrame(*origin_deg)
     clock = ScaledClock(rate)
     spec = FieldSpec(
-        clock, frame, ANTENNA, sources, robots, address, seed, pose_noise_m=0.02, max_speed_m_s=max_speed_m_s
+        clock,
+        frame,
+        ANTENNA,
+        sources,
+        robots,
+        address,
+        seed,
+        pose_noise_m=0.02,
+        max_speed_m_s=max_speed_m_s,
+        size_m=size_m,
+        around=around,
     )
     sends_to: dict[str, list[EmulatedRobot]] = {}
     for robot in robots:

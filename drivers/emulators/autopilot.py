@@ -17,6 +17,7 @@ from drivers.mavlink.codec import Message, Packer, Parser, mavlink
 from drivers.mavlink.signing import Signer
 from fieldkit.geo import FieldFrame
 from fieldkit.world.bodies import Car, Copter
+from fieldkit.world.wander import Wander
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 FENCE_TYPE_POLYGON = 4
@@ -38,6 +39,8 @@ class Autopilot(Telemetry):
     boot_s: float = -60.0
     pose_noise_m: float = 0.0
     """Standard deviation of each reported coordinate; the body's own position is exact."""
+    wander: Wander | None = None
+    """An error of all reported positions."""
     gcs_failsafe_s: float = 6.5
     """Its failsafe acts when the ground station's heartbeat is older, with the parameters it starts with.
 

@@ -16,8 +16,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from drivers.emulators.faults import FAULTS
 from drivers.emulators.profiles import COPTER
 from drivers.emulators.profiles import PROFILES as FIRMWARES
 from drivers.emulators.rover import make_autopilot
+from drivers.emulators.running import RunningField
 from drivers.emulators.sniffers import NrfDongle
 from drivers.emulators.wires import PluggedModule, make_wire
 from drivers.emulators.xbee import PROFILES, Module
@@ -37,15 +37,16 @@ from fieldkit.clock import ScaledClock
 from fieldkit.errors import DeviceError
 from fieldkit.geo import FieldFrame
 from fieldkit.world.bodies import Car, Copter, car_for
-from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.sources import TransientSource, Transmissions
+from fieldkit.world.surroundings import NOTHING_AROUND, Surroundings
+from fieldkit.world.wander import Wander
 
 STEP_S = 0.05
 """World seconds between looks at sources and robots, unless that is less than `STEP_WALL_S`."""
 STEP_WALL_S = 0.002
 START_TIMEOUT_S = 60.0
-ASK_TIMEOUT_S = 10.0
 SOURCE_ADDRESS = 0x0013A20041000000
+FOREIGN_ADDRESS = 0x0013A20042000000
 ROBOT_ADDRESS = 0x0013A20040000000
 
 
@@ -81,84 +82,10 @@ class FieldSpec:
     xbee_profile: str = "s2c"
     dongles: bool = False
     """Robots carry nRF52840 dongles with the sniffer firmware, not XBees."""
+    size_m: float = 10.0
+    around: Surroundings = NOTHING_AROUND
     gcs_failsafe_s: float | None = None
     """Age of the ground station's heartbeat at which rovers hold; None: 6.5 s, or a wall second if longer."""
-
-
-class RunningField:
-    """The parent's end of an emulated field. Close it, or use it with `with`."""
-
-    def __init__(self, process: Any, connection: Connection, receiver_ports: dict[str, str]) -> None:
-        self.receiver_ports = receiver_ports
-        """Robot to the port its radio is on, as a receiver's option `port`."""
-        self._process = process
-        self._connection = connection
-        self._lock = threading.Lock()
-
-    def inject(self, fault: str, robot: str, value: Any = None) -> None:
-        """Make something go wrong, or right again: a method of `_Faults`, or "reboot"."""
-        self._ask("fault", fault, robot, value)
-
-    def unplug(self, robot: str) -> None:
-        """Pull the radio's plug."""
-        self.inject("unplug", robot)
-
-    def replug(self, robot: str) -> None:
-        """Plug the radio back in, under the same port name."""
-        self.inject("replug", robot)
-
-    def silence_vehicle(self, robot: str) -> None:
-        """Cut the vehicle's link in both directions."""
-        self.inject("silence_vehicle", robot)
-
-    def restore_vehicle(self, robot: str) -> None:
-        """Mend the vehicle's link."""
-        self.inject("restore_vehicle", robot)
-
-    def truth(self) -> dict[str, tuple[float, float, float]]:
-        """Robot to where it really is now: east, north (m), heading (deg)."""
-        result: dict[str, tuple[float, float, float]] = self._ask("truth")
-        return result
-
-    def altitude(self) -> dict[str, float]:
-        """Robot to its height above the ground now (m)."""
-        result: dict[str, float] = self._ask("altitude")
-        return result
-
-    def counts(self) -> dict[str, Any]:
-        """Transmissions per source; per robot: frames on its wire, lost ones, bytes from its host, mode."""
-        result: dict[str, Any] = self._ask("counts")
-        return result
-
-    def _ask(self, *question: Any) -> Any:
-        with self._lock:
-            try:
-                self._connection.send(question)
-                if not self._connection.poll(ASK_TIMEOUT_S):
-                    raise DeviceError(f"the emulated field does not answer within {ASK_TIMEOUT_S:g} s")
-                answer = self._connection.recv()
-            except (EOFError, OSError) as error:
-                raise DeviceError(f"the emulated field has ended: {error}") from error
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
-
-    def close(self) -> None:
-        """End the child process. Closing twice is harmless."""
-        with self._lock, contextlib.suppress(OSError):
-            self._connection.close()
-        self._process.join(5.0)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join(5.0)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def start(spec: FieldSpec) -> RunningField:
@@ -306,6 +233,8 @@ class _Field:
         seeds = np.random.SeedSequence(spec.seed).spawn(2 + len(spec.robots))
         self._schedule = Transmissions(list(spec.sources), np.random.default_rng(seeds[0]))
         self._channel_rng = np.random.default_rng(seeds[1])
+        self._air = spec.around.air(spec.antenna, spec.sources, len(spec.robots), spec.size_m, spec.seed)
+        self._wander = Wander(spec.around.wander_m, spec.seed) if spec.around.wander_m else None
         self._sent = [0] * len(spec.sources)
         self._robots: dict[str, _Robot] = {}
         self._folder = tempfile.TemporaryDirectory(prefix="fieldkit-")
@@ -329,6 +258,7 @@ class _Field:
             pose_noise_m=spec.pose_noise_m,
             gcs_failsafe_s=failsafe_s,
         )
+        autopilot.wander = self._wander
         wire = make_wire(Path(self._folder.name) / f"radio-{robot.name}")
         return _Robot(autopilot, PluggedModule(self._radio(robot), wire))
 
@@ -422,9 +352,11 @@ class _Field:
         clock = self._spec.clock
         step_s = max(STEP_S, STEP_WALL_S * clock.rate)
         self._schedule.until(_world_s(clock))  # sent before anybody was there to hear
-        next_s = _world_s(clock)
+        t_s = next_s = _world_s(clock)
         while True:
-            t_s = _world_s(clock)
+            before_s, t_s = t_s, _world_s(clock)
+            for index, rss_dbm in self._air.foreign(t_s - before_s, len(self._robots), self._channel_rng):
+                self._hear(index, rss_dbm, FOREIGN_ADDRESS, 0)
             for robot in self._robots.values():
                 robot.send(robot.autopilot.update(t_s))
             for _, source in self._schedule.until(t_s):
@@ -436,15 +368,16 @@ class _Field:
         """One packet: every robot draws its own noise; those that hear it have it on their wire at once."""
         index = self._spec.sources.index(source)
         number, self._sent[index] = self._sent[index], self._sent[index] + 1
-        robots = list(self._robots.values())
-        bodies = [robot.autopilot.body for robot in robots]
-        way_m = np.array([(source.east_m - b.east_m, source.north_m - b.north_m) for b in bodies])
-        off_front_deg = np.degrees(np.arctan2(*way_m.T)) - np.array([b.heading_deg for b in bodies])
-        range_m = np.hypot(np.hypot(*way_m.T), [body.up_m for body in bodies])
-        rss_dbm = sample_rss_dbm(
-            self._spec.antenna, range_m, source.power_db, self._channel_rng, off_front_deg
+        bodies = [robot.autopilot.body for robot in self._robots.values()]
+        places_m = np.array([(body.east_m, body.north_m) for body in bodies])
+        up_m, heading_deg = np.array([(body.up_m, body.heading_deg) for body in bodies]).T
+        rss_dbm = self._air.heard_dbm(
+            index, _world_s(self._spec.clock), places_m, up_m, heading_deg, self._channel_rng
         )
-        payload = number.to_bytes(4, "big")
-        for robot, strength in zip(robots, rss_dbm, strict=True):
-            if robot.plugged and np.isfinite(strength):
-                robot.heard += robot.radio.hear(float(strength), SOURCE_ADDRESS + index, payload)
+        for robot, strength in enumerate(rss_dbm.tolist()):
+            self._hear(robot, strength, SOURCE_ADDRESS + index, number)
+
+    def _hear(self, index: int, rss_dbm: float, sender: int, number: int) -> None:
+        robot = list(self._robots.values())[index]
+        if robot.plugged and np.isfinite(rss_dbm):
+            robot.heard += robot.radio.hear(rss_dbm, sender, number.to_bytes(4, "big"))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from drivers.emulators.defaults import PROFILE, SOURCES
-from drivers.emulators.field import ROBOT_ADDRESS, SOURCE_ADDRESS, STEP_S
+from drivers.emulators.field import FOREIGN_ADDRESS, ROBOT_ADDRESS, SOURCE_ADDRESS, STEP_S
 from drivers.emulators.wires import PluggedModule, PtyWire, TcpWire, Wire
 from drivers.emulators.xbee import PROFILES, Module
 from drivers.links import host_and_port
@@ -27,8 +27,8 @@ from fieldkit.channel.model import Antenna
 from fieldkit.clock import Clock
 from fieldkit.errors import ConfigError
 from fieldkit.geo import FieldFrame
-from fieldkit.world.channel import sample_rss_dbm
 from fieldkit.world.sources import TransientSource, Transmissions, random_sources
+from fieldkit.world.surroundings import NOTHING_AROUND, Surroundings
 
 STALE_S = 2.0
 """A robot whose place is older hears nothing: nobody knows where it is."""
@@ -52,6 +52,9 @@ class Rehearsal:
     robots: tuple[Rehearsed, ...]
     sources: tuple[TransientSource, ...]
     profile: str = PROFILE
+    size_m: float = 10.0
+    """The longer side of the field."""
+    around: Surroundings = NOTHING_AROUND
 
 
 @dataclass
@@ -98,11 +101,16 @@ def read_rehearsal(
     count: int = SOURCES,
     seed: int = 1,
     profile: str = PROFILE,
+    around: Surroundings = NOTHING_AROUND,
 ) -> Rehearsal:
     """What a mission file has of robots, field and antenna. `sources` empty: `count` are hidden at random.
 
     Raises `ConfigError` where the file cannot be rehearsed with.
     """
+    if around.wander_m:
+        raise ConfigError(
+            "--with wander_m: positions here are those of your vehicles; expected nothing of it"
+        )
     if profile not in PROFILES:
         raise ConfigError(f"--profile: no '{profile}'; there are: {', '.join(PROFILES)}")
     try:
@@ -127,7 +135,7 @@ def read_rehearsal(
         raise ConfigError(f"{path}: {error!r}: is it a mission file? see 'fieldkit check'") from error
     file = read_antenna(antenna, allow_refused=True, allow_pattern=True)
     radio = with_pattern(file) if file.pattern else file.antenna
-    return Rehearsal(frame, radio, robots, hidden, profile)
+    return Rehearsal(frame, radio, robots, hidden, profile, max(size), around)
 
 
 def named_sources(texts: Sequence[str], rate_hz: float) -> tuple[TransientSource, ...]:
@@ -191,6 +199,7 @@ class Radios:
         """Packets that each radio has heard."""
         self._clock = clock
         self._rng = np.random.default_rng([seed, 1])
+        self._air = what.around.air(what.antenna, what.sources, len(what.robots), what.size_m, seed)
         self._transmissions = Transmissions(list(what.sources), np.random.default_rng([seed, 2]))
         self._sent = [0] * len(what.sources)
         self._transport = make_transport(telemetry)
@@ -220,30 +229,29 @@ class Radios:
         await self._transport.close()
 
     async def _live(self) -> None:
-        self._transmissions.until(self._clock.elapsed_s())
+        t_s = self._clock.elapsed_s()
+        self._transmissions.until(t_s)
         while True:
-            for _, source in self._transmissions.until(self._clock.elapsed_s()):
-                self._transmit(source)
+            before_s, t_s = t_s, self._clock.elapsed_s()
+            for index, rss_dbm in self._air.foreign(t_s - before_s, len(self.what.robots), self._rng):
+                self._hear(self.what.robots[index], rss_dbm, FOREIGN_ADDRESS, 0)
+            for _, source in self._transmissions.until(t_s):
+                self._transmit(source, t_s)
             await self._clock.sleep(STEP_S)
 
-    def _transmit(self, source: TransientSource) -> None:
+    def _transmit(self, source: TransientSource, t_s: float) -> None:
         """One packet: every robot whose place is known draws its own noise."""
         index = self.what.sources.index(source)
         number, self._sent[index] = self._sent[index], self._sent[index] + 1
-        for robot in self.what.robots:
-            place = self.positions.of(robot.system_id)
-            if place is None:
-                continue
-            east_m, north_m, up_m, heading_deg = place
-            way_m = (source.east_m - east_m, source.north_m - north_m)
-            range_m = np.array([math.hypot(*way_m, up_m)])
-            off_front_deg = math.degrees(math.atan2(*way_m)) - heading_deg
-            (level,) = sample_rss_dbm(self.what.antenna, range_m, source.power_db, self._rng, off_front_deg)
-            if np.isfinite(level):
-                payload = number.to_bytes(4, "big")
-                self.heard[robot.name] += self.radios[robot.name].hear(
-                    float(level), SOURCE_ADDRESS + index, payload
-                )
+        unknown = (math.nan, math.nan, math.nan, 0.0)
+        places = np.array([self.positions.of(robot.system_id) or unknown for robot in self.what.robots])
+        levels = self._air.heard_dbm(index, t_s, places[:, :2], places[:, 2], places[:, 3], self._rng)
+        for robot, level in zip(self.what.robots, levels.tolist(), strict=True):
+            self._hear(robot, level, SOURCE_ADDRESS + index, number)
+
+    def _hear(self, robot: Rehearsed, rss_dbm: float, sender: int, number: int) -> None:
+        if math.isfinite(rss_dbm):
+            self.heard[robot.name] += self.radios[robot.name].hear(rss_dbm, sender, number.to_bytes(4, "big"))
 
 
 async def run_radios(

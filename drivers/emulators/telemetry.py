@@ -11,6 +11,7 @@ from drivers.emulators.profiles import Profile
 from drivers.mavlink.codec import Message, mavlink
 from fieldkit.geo import FieldFrame
 from fieldkit.world.bodies import Car, Copter
+from fieldkit.world.wander import Wander
 
 PRESENT = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -57,6 +58,7 @@ class Telemetry(abc.ABC):
     rng: np.random.Generator
     boot_s: float
     pose_noise_m: float
+    wander: Wander | None
     battery_pct: float
     trouble: Trouble
     utc_s: float | None
@@ -102,8 +104,11 @@ class Telemetry(abc.ABC):
             PRESENT, enabled, health, 100, voltage_mv, -1, left, 0, 0, 0, 0, 0, 0
         )
 
-    def _reported(self) -> tuple[int, int]:
+    def _reported(self, t_s: float) -> tuple[int, int]:
         east_m, north_m = self.body.east_m, self.body.north_m
+        if self.wander is not None:
+            east_off_m, north_off_m = self.wander.at(t_s)
+            east_m, north_m = east_m + east_off_m, north_m + north_off_m
         if self.pose_noise_m > 0:
             noise_m = self.rng.normal(0.0, self.pose_noise_m, 2)
             east_m, north_m = east_m + noise_m[0], north_m + noise_m[1]
@@ -116,7 +121,7 @@ class Telemetry(abc.ABC):
         east_cm_s = round(100 * self.body.speed_m_s * math.sin(heading))
         return mavlink.MAVLink_global_position_int_message(
             self._boot_ms(t_s),
-            *self._reported(),
+            *self._reported(t_s),
             round((self.frame.origin_alt_m + self.body.up_m) * 1e3),
             self._relative_alt_mm(),
             north_cm_s,
@@ -134,14 +139,14 @@ class Telemetry(abc.ABC):
         return mavlink.MAVLink_gps_raw_int_message(
             round(t_s * 1e6) % 2**63,
             fix,
-            *self._reported(),
+            *self._reported(t_s),
             round((self.frame.origin_alt_m + self.body.up_m) * 1e3),
             80,
             120,
             round(self.body.speed_m_s * 100),
             65535,
             14,
-            h_acc=round(self.pose_noise_m * 1e3),
+            h_acc=round(1e3 * math.hypot(self.pose_noise_m, self.wander.sigma_m if self.wander else 0.0)),
         )
 
     def _ekf_status(self, _: float) -> Message:

@@ -24,12 +24,12 @@ from fieldkit.messages import (
     Tick,
     VehicleState,
 )
+from fieldkit.world.air import Air
 from fieldkit.world.bodies import Rover
-from fieldkit.world.channel import sample_rss_dbm
-from fieldkit.world.disturbed import NONE, Disturbances, collided, lobe_gain_db, place_at
+from fieldkit.world.disturbed import NONE, Disturbances
 from fieldkit.world.shadowing import ShadowField
 from fieldkit.world.sources import TransientSource, Transmissions
-from fieldkit.world.walls import walls_loss_db
+from fieldkit.world.wander import WANDER_S
 from mission.core.kernel import Kernel, Outcome
 from mission.core.kernel_settings import KernelSettings
 
@@ -55,7 +55,7 @@ class Truth:
     """How much more each robot's receiver reports, in the order of the teams; empty: all alike."""
     pose_wander_m: float = 0.0
     """Deviation of a position error that wanders, as of satellites, the same for all robots of a moment."""
-    pose_wander_s: float = 60.0
+    pose_wander_s: float = WANDER_S
     """How long such an error lasts."""
     source_up_m: float = 0.0
     """How high the transmitters are; robots fly as high as the mission says."""
@@ -144,9 +144,19 @@ class SimulatedWorld:
         }
         self.traffic = Transmissions(list(truth.sources), rng_traffic)
         self.before = self._places_m()
-        self.seed, self.size_m = seed, size_m
         self.rng_foreign = np.random.default_rng([seed, 4])
-        self.last_packet: tuple[float, FloatArray] | None = None
+        self.air = Air(
+            truth.antenna,
+            truth.sources,
+            truth.disturbed,
+            truth.shadow,
+            truth.offset_db,
+            truth.packet_loss,
+            truth.elevation,
+            truth.source_up_m,
+            size_m,
+            seed,
+        )
         wanders = truth.pose_wander_m > 0.0
         self.wander = self.rng_wander.normal(0.0, truth.pose_wander_m, 2) if wanders else np.zeros(2)
 
@@ -186,45 +196,19 @@ class SimulatedWorld:
 
     def _foreign(self) -> list[Event]:
         """Packets of somebody far away: anybody may hear one, at any strength just above the threshold."""
-        what, robots = self.truth.disturbed, list(self.clock_s)
-        if what.foreign_hz <= 0.0 or self.rng_foreign.random() >= what.foreign_hz * self.step_s:
-            return []
-        threshold = self.truth.antenna.threshold_dbm
-        by = self.rng_foreign.choice(len(robots), size=min(what.foreign_robots, len(robots)), replace=False)
-        level = np.floor(threshold + 1.0 + self.rng_foreign.exponential(6.0, by.size))
+        robots = list(self.clock_s)
         return [
-            RssReading(round(self.t_s * 1e9), robots[index], float(rss))
-            for index, rss in zip(by.tolist(), level, strict=True)
+            RssReading(round(self.t_s * 1e9), robots[index], rss)
+            for index, rss in self.air.foreign(self.step_s, len(robots), self.rng_foreign)
         ]
 
     def _heard(
         self, at_s: float, source: TransientSource, place: FloatArray, heading_deg: FloatArray
     ) -> list[Event]:
         """What the radios at `place` (m, 2), pointing to `heading_deg` (m,), heard of a packet."""
-        truth, what = self.truth, self.truth.disturbed
+        truth = self.truth
         number = truth.sources.index(source)
-        source_m = np.array(
-            place_at((source.east_m, source.north_m), number, at_s, self.size_m, what, self.seed)
-        )
-        way = source_m - place
-        off_front = np.degrees(np.arctan2(way[:, 0], way[:, 1])) - heading_deg
-        more = lobe_gain_db(what, number, -way, self.seed) - walls_loss_db(source_m, place, what.walls)
-        if truth.shadow:
-            more = more + truth.shadow[number].at(place)
-        if truth.offset_db:
-            more = more + np.array(truth.offset_db)
-        flat_m, up_m = np.hypot(*way.T), self.up_m - truth.source_up_m
-        range_m = np.hypot(flat_m, up_m)
-        if truth.elevation:
-            cos = np.where(up_m != 0.0, np.maximum(flat_m / np.maximum(range_m, 1e-9), 0.1), 1.0)
-            more = more + truth.elevation * 20.0 * np.log10(cos)
-        rss = sample_rss_dbm(truth.antenna, range_m, source.power_db + more, self.rng_channel, off_front)
-        if truth.packet_loss > 0.0:
-            rss = np.where(self.rng_channel.random(rss.shape) < truth.packet_loss, np.nan, rss)
-        rss[list(what.insensitive)] = np.nan
-        before = self.last_packet
-        self.last_packet = (at_s, rss)
-        rss = collided(rss, before and before[1], at_s - before[0] if before else 0.0, what)
+        rss = self.air.heard_dbm(number, at_s, place, self.up_m, heading_deg, self.rng_channel)
         return [
             RssReading(
                 round((at_s + self.clock_s[robot]) * 1e9),

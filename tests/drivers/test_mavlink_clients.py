@@ -11,8 +11,9 @@ import pytest
 from benches import FRAME, free_udp_port
 
 from drivers.emulators.alone import ANTENNA
-from drivers.emulators.field import EmulatedRobot, FieldSpec, RunningField, start
+from drivers.emulators.field import EmulatedRobot, FieldSpec, start
 from drivers.emulators.rover import GUIDED, HOLD, RTL
+from drivers.emulators.running import RunningField
 from fieldkit.clock import ScaledClock, wall_sleep
 
 RATE = 2.0

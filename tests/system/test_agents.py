@@ -14,8 +14,9 @@ from typing import IO
 
 import pytest
 
-from drivers.emulators.field import EmulatedRobot, FieldSpec, RunningField, start
+from drivers.emulators.field import EmulatedRobot, FieldSpec, start
 from drivers.emulators.rover import HOLD
+from drivers.emulators.running import RunningField
 from fieldkit.channel.antenna_file import AntennaFile, dump_antenna
 from fieldkit.clock import ScaledClock
 from fieldkit.geo import FieldFrame

@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 from test_agents import NAMES, Agent, fields, free_tcp_port, mode, moved_m, prepare, wait_until
 
-from drivers.emulators.field import RunningField
 from drivers.emulators.rover import HOLD
+from drivers.emulators.running import RunningField
 from mission.replay.collect import collect
 
 resource = pytest.importorskip("resource")

@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 
 from drivers.emulators.alone import ANTENNA
-from drivers.emulators.field import EmulatedRobot, FieldSpec, RunningField, start
+from drivers.emulators.field import EmulatedRobot, FieldSpec, start
 from drivers.emulators.rover import GUIDED, HOLD
+from drivers.emulators.running import RunningField
 from fieldkit.clock import ScaledClock, wall_sleep
 from fieldkit.recording.reader import open_recording
 from fieldkit.world.sources import TransientSource

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from test_agents import Agent, fields, free_tcp_port, mode, moved_m, prepare, wait_until
 
-from drivers.emulators.field import RunningField
 from drivers.emulators.rover import HOLD
+from drivers.emulators.running import RunningField
 from mission.replay.collect import collect
 from mission.replay.replay import replay
 
