@@ -10,7 +10,9 @@ more, nobody knows where it is by now. Against it this robot goes a way
   ways that cross, the one announced first goes, by number and name. A robot leaves its way for another only where it
   stands or where both rules allow it, so it is on its way, or stopped on it, until it has announced another;
 - or that the operator's promise covers (`contact_m`): one that lives and is not heard is further away than that, and
-  one that does not live stands on the path it was last on, which safety keeps clear of anyway.
+  one that does not live stands on the path it was last on, which safety keeps clear of anyway. Where several fall
+  silent at once, and one of them cannot have gone so far, it is the network that was cut and the promise does not
+  hold: of those the first two rules hold until they are heard again.
 
 Why no two meet: take r1 on a way that r2 has confirmed. What r2 drove when it confirmed stands in that very message,
 and r1 keeps clear of it. Whatever way r2 takes afterwards, by whichever rule, it takes knowing of r1's, and keeps clear
@@ -36,6 +38,8 @@ from mission.safety.separation import CLEAR_OF_NEAR, Occupancy, are_layered, con
 ASKED_S = 5.0
 """A waiting way that is not asked for again within this time is given up."""
 SAME_END_M = 0.01
+TOGETHER_S = 3.0
+"""Robots that fall silent within so long do so for one reason: they do not die all at once."""
 MOVED_SHARE = 0.5
 """One that stands has moved when it is further from where it stood than this share of what is too near."""
 
@@ -60,6 +64,8 @@ class SafetyApart(Safety):
     """The number of the last way of its own that each other has confirmed."""
     beside: tuple[GoTo, ...] = ()
     """Where the plan that it follows sends others at this very moment, before it: they may go, unheard of as yet."""
+    unpromised: set[str] = field(default_factory=set)
+    """Of whom the promise evidently does not hold."""
     _asked_ns: int = 0
     """When the waiting way was last asked for."""
 
@@ -87,6 +93,7 @@ class SafetyApart(Safety):
         commands = super().observe(event)
         if not isinstance(event, Tick):
             return commands
+        self._look_at_promise(event.t_ns)
         mine = self.robots[self.me]
         segment = mine.segment() if mine.moving else None
         reason = "" if segment is None else self._may_meet(segment, event.t_ns)
@@ -245,15 +252,32 @@ class SafetyApart(Safety):
     def _age_s(self, other: Watched, now_ns: int) -> float:
         return math.inf if other.pose is None else (now_ns - other.pose.t_ns) * 1e-9
 
+    def _look_at_promise(self, now_ns: int) -> None:
+        """Note of whom the promise evidently does not hold, until they are heard again."""
+        place_m, settings = self.robots[self.me].place_m, self.settings
+        if self.contact_m is None or place_m is None:
+            return
+        silent_s = {name: self._age_s(other, now_ns) for name, other, _ in self._others()}
+        silent_s = {name: age_s for name, age_s in silent_s.items() if age_s > settings.pose_timeout_s}
+        self.unpromised &= silent_s.keys()
+        for name, _, theirs_m in self._others():
+            if name not in silent_s:
+                continue
+            age_s = silent_s[name]
+            in_range = math.dist(place_m, theirs_m) + settings.max_speed_m_s * age_s < self.contact_m
+            together = {each for each, its_s in silent_s.items() if abs(its_s - age_s) <= TOGETHER_S}
+            if in_range and len(together) > 1:
+                self.unpromised |= together
+
     def _may_meet(self, segment: Segment, now_ns: int) -> str:
         """Which robot that is heard late, or not, may be on this path or come onto it; empty where none can."""
-        if self.contact_m is not None:
-            return ""
         settings = self.settings
         is_announced = self.way is not None and math.dist(self.way.end_m, segment.end_m) <= SAME_END_M
         for name, other, place_m in self._others():
             silent_s = self._age_s(other, now_ns)
-            if silent_s <= settings.pose_timeout_s:
+            if silent_s <= settings.pose_timeout_s or (
+                self.contact_m is not None and name not in self.unpromised
+            ):
                 continue
             if ever_m(segment, standing(place_m)) >= settings.max_speed_m_s * silent_s + self._clear_m:
                 continue

@@ -242,6 +242,28 @@ def test_the_ground_that_one_who_is_not_heard_may_have_reached_is_kept_clear() -
     assert isinstance(promised.allow(GoTo(25 * S, "r1", Waypoint(1.0, 5.0, 0.4))), GoTo)
 
 
+def test_a_promise_of_range_does_not_hold_where_several_fall_silent_at_once_nearby() -> None:
+    """r3 and r4 are no more heard, and r4 cannot have gone further than 12 m within 2 s: the network was cut."""
+    north = Waypoint(1.0, 5.0, 0.4)
+    for contact_m, silent, kept in (
+        (12.0, ("r3", "r4"), False),
+        (12.0, ("r4",), True),
+        (6.0, ("r3", "r4"), True),
+    ):
+        safety = apart(contact_m)
+        places = {"r1": (1.0, 1.0), "r2": (3.0, 1.0), "r3": (9.0, 9.0), "r4": (9.0, 1.0)}
+        for second in range(1, 31):
+            for name in places.keys() - set(silent):
+                safety.observe(Pose(second * S, name, *places[name]))
+            safety.observe(Tick(second * S))
+        assert (safety.unpromised == set()) == kept
+        assert isinstance(safety.allow(GoTo(30 * S, "r1", north)), GoTo) == kept, (contact_m, silent)
+        for name in silent:
+            safety.observe(Pose(31 * S, name, *places[name]))
+        safety.observe(Tick(31 * S))
+        assert not safety.unpromised
+
+
 def test_one_under_way_is_held_before_it_comes_to_such_ground() -> None:
     """Its path ends 8.2 m from where r3 was seen: after 20 s r3 may have come that far."""
     safety = apart()
