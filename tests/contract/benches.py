@@ -251,7 +251,7 @@ def now_us() -> int:
 RECEIVERS: dict[str, Bench] = {
     "xbee-pty": on_wire(open_receiver, Module, pty),
     "xbee-tcp": on_wire(open_receiver, Module, tcp),
-    "xbee-asking-db": on_wire(open_receiver, lambda: Module(settings={"AO": 0}), pty, 0.8, ask_db=True),
+    "xbee-asking-db": on_wire(open_receiver, lambda: Module(settings={"AO": 0}), pty, 1.5, ask_db=True),
     "nrf-sniffer": on_wire(open_nrf, lambda: NrfDongle(now_us), pty),
     "ti-sniffer": on_wire(open_ti, lambda: TiDongle(now_us), pty),
     "pcap": capture_on_pipe,
