@@ -12,6 +12,17 @@ from fieldkit.clock import wall_sleep
 from mission.shell.setups import free_udp_port
 
 
+def said_at_start(field: subprocess.Popen[str]) -> str:
+    """What a field says until it is there."""
+    assert field.stdout is not None
+    said = ""
+    while "Ctrl-C ends it" not in said:
+        line = field.stdout.readline()
+        assert line, said
+        said += line
+    return said
+
+
 @pytest.mark.timeout(240)
 def test_what_it_writes_passes_check_and_preflight_and_flies(tmp_path: Path) -> None:
     fieldkit = [sys.executable, "-m", "fieldkit"]
@@ -26,12 +37,7 @@ def test_what_it_writes_passes_check_and_preflight_and_flies(tmp_path: Path) -> 
         f"127.0.0.1:{free_udp_port()}",
     ]
     with subprocess.Popen([*fieldkit, *words], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as field:
-        assert field.stdout is not None
-        said = ""
-        while "Ctrl-C ends it" not in said:
-            line = field.stdout.readline()
-            assert line, said
-            said += line
+        said = said_at_start(field)
         assert "fieldkit run emulated-field/mission.toml --page" in said
         mission = tmp_path / "emulated-field" / "mission.toml"
         try:
@@ -71,12 +77,7 @@ def test_for_agents_each_vehicle_has_an_address_of_its_own(tmp_path: Path) -> No
     words = ["emulate", "field", "--robots", "2", "--agents", "--address", f"127.0.0.1:{port}"]
     fieldkit = [sys.executable, "-m", "fieldkit"]
     with subprocess.Popen([*fieldkit, *words], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as field:
-        assert field.stdout is not None
-        said = ""
-        while "Ctrl-C ends it" not in said:
-            line = field.stdout.readline()
-            assert line, said
-            said += line
+        said = said_at_start(field)
         field.send_signal(signal.SIGINT)
         field.wait(20)
     text = (tmp_path / "emulated-field" / "mission.toml").read_text()
