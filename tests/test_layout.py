@@ -26,7 +26,7 @@ LONG_FUNCTIONS: dict[str, str] = {
     "fieldkit/engine/belief/intensity/loops.py attribute": LOOP,
     "fieldkit/engine/likelihood/correlated_loops.py log_marginal": LOOP,
     "fieldkit/engine/likelihood/levels_loops.py conditional_loglik": LOOP,
-    "fieldkit/engine/likelihood/places_loops.py condition_on_neighbours": LOOP,
+    "fieldkit/engine/likelihood/places_loops.py choose_neighbours": LOOP,
     "fieldkit/engine/planning/spacing_loops.py spacing_entropy": LOOP,
 }
 

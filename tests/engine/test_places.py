@@ -82,22 +82,26 @@ def twin(model, d, point, level_dbm, earlier):
     """log p robot by robot, those who heard first, from the docstrings of `levels` and `places`."""
     smear = 25.3 / np.log(10.0) * model.place_sigma_m
     alone = SPREAD.sigma_time_db**2 + SPREAD.sigma_place_db**2
-    place, rss = list(earlier.ears[:, :2]), list(earlier.rss_dbm)
+    place, rss, now = list(earlier.ears[:, :2]), list(earlier.rss_dbm), [False] * len(earlier.ears)
+    off2 = np.pi / 2.0 * 2.0 * model.place_sigma_m**2
     total = 0.0
+
+    def shadow(a, b, same_time):
+        return 16.0 * np.exp(-np.sqrt(((a - b) ** 2).sum() + (0.0 if same_time else off2)) / 3.0)
+
     for q in np.argsort(~d.heard, kind="stable"):
         at = d.position_m[q]
-        away = np.array([np.hypot(*(p - at)) for p in place])
         shift, left = 0.0, alone
-        if away.size:
-            cov = np.array([[np.hypot(*(a - b)) for a in place] for b in place])
-            cov = 16.0 * np.exp(-cov / 3.0) + np.eye(away.size) * (4.0 + 1.0 / 12.0)
-            cross = 16.0 * np.exp(-away / 3.0)
+        if place:
+            range2 = np.array([max(float(((p - point) ** 2).sum()), MIN_RANGE_M**2) for p in place])
+            both = list(zip(place, now, strict=True))
+            own = 4.0 + 1.0 / 12.0 + smear**2 / (range2 + model.place_sigma_m**2)
+            cov = np.array([[shadow(a, b, x and y) for a, x in both] for b, y in both])
+            np.fill_diagonal(cov, 16.0 + own)
+            cross = np.array([shadow(p, at, x) for p, x in both])
             weights = np.linalg.solve(cov, cross)
-            for w, c, p, z in zip(weights, cross, place, rss, strict=True):
-                range2 = max(float(((p - point) ** 2).sum()), MIN_RANGE_M**2)
-                trust = alone / (alone + smear**2 / (range2 + model.place_sigma_m**2))
-                shift += trust * w * (z - level_dbm + 12.65 * np.log10(range2))
-                left -= trust * max(w * c, 0.0)
+            shift = float(weights @ (np.array(rss) - level_dbm + 12.65 * np.log10(range2)))
+            left -= float(weights @ cross)
         shift = float(np.clip(shift, -4.0 * DEEPEST, 4.0 * DEEPEST))
         range2 = max(float(((at - point) ** 2).sum()), MIN_RANGE_M**2)
         sigma = np.sqrt(left + smear**2 / (range2 + model.place_sigma_m**2))
@@ -114,7 +118,7 @@ def twin(model, d, point, level_dbm, earlier):
                 + RADIO.outliers * norm.pdf(z, mean, RADIO.outlier_width * wide)
             )
         )
-        place, rss = [*place, at], [*rss, z]
+        place, rss, now = [*place, at], [*rss, z], [*now, True]
     return total
 
 
@@ -134,22 +138,32 @@ def test_the_choice_of_neighbours_agrees_with_a_plain_twin():
     d = detection([-70.0, np.nan, -66.0, -60.0], rng.uniform(0.0, 8.0, (4, 2)))
     earlier = earlier_at(model, rng.uniform(0.0, 8.0, (40, 2)), rng.uniform(-80.0, -50.0, 40))
     ears = model.ears.of_detection(d)
-    near, near_rss, weights, explained = places._neighbours(d, ears, earlier)
-    before, rss = earlier.ears, earlier.rss_dbm
+    near = places._neighbours(d, ears, earlier)
+    own = rng.uniform(4.0, 8.0, near.rss_dbm.shape)
+    weights, explained = near.weighed(own)
+    before, rss, now = earlier.ears, earlier.rss_dbm, np.zeros(40, dtype=bool)
+    off2 = np.pi * model.place_sigma_m**2
+
+    def shadow(a, b, same_time):
+        return 16.0 * np.exp(-np.sqrt(((a - b) ** 2).sum(axis=-1) + np.where(same_time, 0.0, off2)) / 3.0)
+
     for q in (0, 2, 3, 1):
         away = np.sqrt(((before[:, :3] - ears[q, :3]) ** 2).sum(axis=1))
         order = np.argsort(away, kind="stable")[:NEIGHBOURS]
         order = order[away[order] < REACH * SPREAD.correlation_m]
-        apart = np.sqrt(((before[order, None, :3] - before[None, order, :3]) ** 2).sum(axis=-1))
-        cov = 16.0 * np.exp(-apart / 3.0) + np.eye(order.size) * (4.0 + 1.0 / 12.0)
-        cross = 16.0 * np.exp(-away[order] / 3.0)
+        k, place = order.size, before[order, :3]
+        cov = shadow(place[:, None], place[None], now[order][:, None] & now[order][None])
+        np.fill_diagonal(cov, 16.0 + own[q, :k])
+        cross = shadow(place, ears[q, :3], now[order])
         solved = np.linalg.solve(cov, cross)
-        assert near[q, : order.size] == pytest.approx(before[order]) and not weights[q, order.size :].any()
-        assert near_rss[q, : order.size] == pytest.approx(rss[order])
-        assert weights[q, : order.size] == pytest.approx(solved, abs=1e-12)
-        assert explained[q, : order.size] == pytest.approx(np.maximum(solved * cross, 0.0), abs=1e-12)
+        assert near.count[q] == k
+        assert near.ears[q, :k] == pytest.approx(before[order]) and not weights[q, k:].any()
+        assert near.rss_dbm[q, :k] == pytest.approx(rss[order])
+        assert weights[q, :k] == pytest.approx(solved, abs=1e-12)
+        assert explained[q] == pytest.approx(solved @ cross, abs=1e-12)
         if d.heard[q]:
             before, rss = np.concatenate([before, ears[q : q + 1]]), np.append(rss, d.rss_dbm[q])
+            now = np.append(now, True)
 
 
 def test_the_next_reading_of_a_place_tells_little_of_the_distance():

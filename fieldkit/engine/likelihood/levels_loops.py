@@ -12,6 +12,7 @@ from fieldkit.channel.law import Law
 from fieldkit.engine.compiled import njit
 from fieldkit.engine.likelihood.ears_loops import EAST, NORTH, SIGMA, THRESHOLD, beyond_distance_db, square_m2
 from fieldkit.engine.likelihood.law_loops import as_far_m2, loss_db, slope_db
+from fieldkit.engine.likelihood.places_loops import weigh
 from fieldkit.messages import FloatArray, IntArray
 
 _SQRT2 = math.sqrt(2.0)
@@ -145,9 +146,11 @@ def conditional_loglik(
     saturated: FloatArray,
     near: FloatArray,
     near_rss: FloatArray,
-    weights: FloatArray,
-    explained: FloatArray,
-    variance: float,
+    near_count: IntArray,
+    cross: FloatArray,
+    cov: FloatArray,
+    place_var: float,
+    time_var: float,
     furthest: float,
     levels: FloatArray,
     law: Law,
@@ -163,12 +166,14 @@ def conditional_loglik(
 ) -> None:
     """out (h, n): as `levels_loglik`, each robot's mean moved by what the same source's earlier readings were off.
 
-    `near` (m * k, columns of an ear) and `near_rss` (m, k) are those readings, `weights` (m, k) what each counts, 0
-    for none, and `explained` (m, k) by how much it lowers the `variance` of a reading alone (without rounding). A
-    reading made so near the point that an unsure place alone moves it by decibels counts for less, and no shadow is
-    believed that is deeper than `furthest` dB: those who heard another source are no reason to expect one.
+    `near` (m * k, columns of an ear), `near_rss` (m, k) and `near_count` (m,) are those readings, `cross` (m, k) and
+    `cov` (m, k, k) as `choose_neighbours` has them. A reading made so near the point that an unsure place alone moves
+    it by decibels says less of the shadow, and no shadow is believed that is deeper than `furthest` dB: those who heard
+    another source are no reason to expect one.
     """
-    n, m, n_levels, near_count = points.shape[0], ears.shape[0], levels.shape[0], weights.shape[1]
+    n, m, n_levels, most = points.shape[0], ears.shape[0], levels.shape[0], cross.shape[1]
+    noise, off_dbm, weights, part = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
+    work = np.empty((most, most))
     silent_top = log_silent.shape[0] - 1.000001
     heard_top = log_heard.shape[0] - 1.000001
     for i in range(n):
@@ -182,23 +187,23 @@ def conditional_loglik(
             attenuation = loss_db(decades, law)
             attenuation += beyond_distance_db(east, north, ears, q, d2, law, pattern)
             # Neighbours were off by moved - levels[h] * taken in all, each as much as it counts.
+            for j in range(near_count[q]):
+                row = q * most + j
+                away2 = square_m2(east, north, near, row, law.least_range_m)
+                away = 0.5 * math.log10(away2)
+                steep = slope_db(away, law)
+                fainter = loss_db(away, law)
+                off_dbm[j] = (
+                    near_rss[q, j] + fainter + beyond_distance_db(east, north, near, row, away2, law, pattern)
+                )
+                its2 = near[row, SIGMA] * near[row, SIGMA]
+                noise[j] = time_var + 1.0 / 12.0 + steep * steep * its2 / (away2 + its2)
+            left = place_var + time_var - weigh(near_count[q], cov[q], cross[q], noise, work, part, weights)
             moved = 0.0
             taken = 0.0
-            left = variance
-            for j in range(near_count):
-                if weights[q, j] != 0.0:
-                    row = q * near_count + j
-                    away2 = square_m2(east, north, near, row, law.least_range_m)
-                    away = 0.5 * math.log10(away2)
-                    steep = slope_db(away, law)
-                    fainter = loss_db(away, law)
-                    fainter += beyond_distance_db(east, north, near, row, away2, law, pattern)
-                    its2 = near[row, SIGMA] * near[row, SIGMA]
-                    trust = variance / (variance + steep * steep * its2 / (away2 + its2))
-                    weight = trust * weights[q, j]
-                    moved += weight * (near_rss[q, j] + fainter)
-                    taken += weight
-                    left -= trust * explained[q, j]
+            for j in range(near_count[q]):
+                moved += weights[j] * off_dbm[j]
+                taken += weights[j]
             unsure2 = ears[q, SIGMA] * ears[q, SIGMA]
             spread = math.sqrt(left + slope * slope * unsure2 / (d2 + unsure2))
             if math.isnan(rss[q]):

@@ -18,8 +18,8 @@ from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears_loops import COLUMNS, NORTH, SIGMA, UP
 from fieldkit.engine.likelihood.levels import PER_SIGMA, SILENT_FROM, LevelsModel, tables
-from fieldkit.engine.likelihood.places_loops import condition_on_neighbours
-from fieldkit.messages import Detection, FloatArray
+from fieldkit.engine.likelihood.places_loops import choose_neighbours, weigh
+from fieldkit.messages import Detection, FloatArray, IntArray
 
 NEIGHBOURS = 6
 REACH = 2.5
@@ -87,6 +87,27 @@ class Earlier:
     rss_dbm: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbours:
+    """Of each of m ears the `count` (m,) nearest readings before it, as `choose_neighbours` has them."""
+
+    ears: FloatArray
+    rss_dbm: FloatArray
+    count: IntArray
+    cross_db2: FloatArray
+    cov_db2: FloatArray
+
+    def weighed(self, noise_db2: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(m, k) what each counts for, with so much variance (m, k) of its own, and (m,) dB^2 that they explain."""
+        weights, explained = np.zeros_like(self.cross_db2), np.zeros(len(self.count))
+        work, part = np.empty(self.cov_db2.shape[1:]), np.empty(NEIGHBOURS)
+        for q, count in enumerate(self.count):
+            explained[q] = weigh(
+                count, self.cov_db2[q], self.cross_db2[q], noise_db2[q], work, part, weights[q]
+            )
+        return weights, explained
+
+
 NOTHING_EARLIER = Earlier(np.zeros((0, COLUMNS)), np.zeros(0))
 
 
@@ -135,18 +156,20 @@ class PlaceNoise:
     def log_likelihood(self, detection: Detection, points_m: FloatArray, earlier: Earlier) -> FloatArray:
         """(h, n): as the model's, given what was heard earlier of the same source, and by robots named before."""
         ears = self.model.ears.of_detection(detection)
-        near, near_rss, weights, explained = self._neighbours(detection, ears, earlier)
+        near = self._neighbours(detection, ears, earlier)
         fixed = np.empty((self.model.level_dbm.size, points_m.shape[0]))
         levels_loops.conditional_loglik(
             np.ascontiguousarray(points_m),
             ears,
             detection.rss_dbm,
             detection.saturated.astype(float),
-            near.reshape(-1, COLUMNS),
-            near_rss,
-            weights,
-            explained,
-            self.time_var + self.place_var,
+            near.ears.reshape(-1, COLUMNS),
+            near.rss_dbm,
+            near.count,
+            near.cross_db2,
+            near.cov_db2,
+            self.place_var,
+            self.time_var,
             DEEPEST * float(np.sqrt(self.place_var)),
             self.model.level_dbm,
             self.model.ears.law,
@@ -186,12 +209,12 @@ class PlaceNoise:
 
         for detection in detections:
             ears = self.model.ears.of_detection(detection)
-            near, near_rss, weights, explained = self._neighbours(detection, ears, earlier)
-            trust = alone / (alone + unsure_db2(near))
-            off = trust * weights * (near_rss - level_dbm + fainter_db(near))
+            near = self._neighbours(detection, ears, earlier)
+            weights, explained = near.weighed(self.time_var + 1.0 / 12.0 + unsure_db2(near.ears))
+            off = weights * (near.rss_dbm - level_dbm + fainter_db(near.ears))
             expected = np.clip(off.sum(axis=1), -furthest, furthest)
             use = detection.heard & ~detection.saturated
-            variance = alone - (trust * explained).sum(axis=1) + unsure_db2(ears) + 1.0 / 12.0
+            variance = alone - explained + unsure_db2(ears) + 1.0 / 12.0
             residual = detection.rss_dbm - level_dbm + fainter_db(ears) - expected
             squares += np.minimum(residual[use] ** 2 / variance[use], 12.0).tolist()
             earlier = Earlier(
@@ -200,14 +223,17 @@ class PlaceNoise:
             )
         return (float(np.mean(squares)) if squares else 0.0), len(squares)
 
-    def _neighbours(
-        self, detection: Detection, ears: FloatArray, earlier: Earlier
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Of each robot (m,) the nearest earlier readings, their weights, and what variance each explains."""
+    def _neighbours(self, detection: Detection, ears: FloatArray, earlier: Earlier) -> Neighbours:
+        """Of each robot the nearest earlier readings."""
         m = ears.shape[0]
-        near, near_rss = np.zeros((m, NEIGHBOURS, COLUMNS)), np.zeros((m, NEIGHBOURS))
-        weights, explained = np.zeros((m, NEIGHBOURS)), np.zeros((m, NEIGHBOURS))
-        condition_on_neighbours(
+        near = Neighbours(
+            np.zeros((m, NEIGHBOURS, COLUMNS)),
+            np.zeros((m, NEIGHBOURS)),
+            np.zeros(m, dtype=np.int64),
+            np.zeros((m, NEIGHBOURS)),
+            np.zeros((m, NEIGHBOURS, NEIGHBOURS)),
+        )
+        choose_neighbours(
             np.argsort(~detection.heard, kind="stable"),  # who heard goes first: silence is conditioned on it
             ears,
             detection.rss_dbm,
@@ -215,15 +241,15 @@ class PlaceNoise:
             np.ascontiguousarray(earlier.ears),
             np.ascontiguousarray(earlier.rss_dbm),
             self.place_var,
-            self.time_var + 1.0 / 12.0,
             self.length_m,
             REACH * self.length_m,
-            near,
-            near_rss,
-            weights,
-            explained,
+            near.ears,
+            near.rss_dbm,
+            near.count,
+            near.cross_db2,
+            near.cov_db2,
         )
-        return near, near_rss, weights, explained
+        return near
 
 
 def redundancy(place_m: Sequence[FloatArray], spread: ChannelSpread) -> FloatArray:

@@ -1,15 +1,19 @@
-"""The compiled choice of earlier readings that one is conditioned on; its plain numpy twin is in the tests."""
+"""The compiled choice of earlier readings that one is conditioned on, and their weights; twins are in the tests."""
 
 import math
 
 import numpy as np
 
 from fieldkit.engine.compiled import njit
+from fieldkit.engine.likelihood.ears_loops import SIGMA
 from fieldkit.messages import FloatArray, IntArray
+
+MEAN_ERROR2 = math.pi / 2.0
+"""Square of the mean length of a normal error in the plane, in squares of its deviation in each coordinate."""
 
 
 @njit(cache=True, nogil=True)
-def condition_on_neighbours(
+def choose_neighbours(
     order: IntArray,
     ears: FloatArray,
     rss: FloatArray,
@@ -17,28 +21,26 @@ def condition_on_neighbours(
     earlier: FloatArray,
     earlier_rss: FloatArray,
     place_var: float,
-    noise_var: float,
     length: float,
     reach: float,
     near: FloatArray,
     near_rss: FloatArray,
-    weights: FloatArray,
-    explained: FloatArray,
+    near_count: IntArray,
+    cross: FloatArray,
+    cov: FloatArray,
 ) -> None:
-    """Of each ear (m, columns) the nearest readings before it, their weights, and what variance each explains.
+    """Of each ear (m, columns) the nearest readings before it, and what shadow it and they have in common.
 
     Robots take their turn in `order` (m,); whoever has a reading (`use`) is known to those that follow, as are the
-    `earlier` (n, columns). `near` (m, k, columns), `near_rss`, `weights` and `explained` (m, k) are filled; weights
-    of 0 stay where there are fewer. Readings further away than `reach` are no neighbours; of two as near the earlier
-    is one.
+    `earlier` (n, columns). Filled are `near` (m, k, columns), `near_rss` (m, k), `near_count` (m,), `cross` (m, k) with
+    the ear's own shadow and `cov` (m, k, k; lower half) among them, in dB^2. Readings further away than `reach` are no
+    neighbours; of two as near the earlier is one. At another time a robot was off by another error: by how much two
+    places are not known counts as distance between them.
     """
-    m, wanted = weights.shape
+    m, wanted = near_rss.shape
     n = earlier.shape[0]
     best = np.empty(wanted)
     which = np.empty(wanted, dtype=np.int64)
-    cov = np.empty((wanted, wanted))
-    cross = np.empty(wanted)
-    part = np.empty(wanted)
     known = np.empty(n + m, dtype=np.int64)  # rows of earlier, then m + robot
     count_known = n
     for i in range(n):
@@ -60,35 +62,60 @@ def condition_on_neighbours(
             best[at] = away2
             which[at] = j
             count = min(count + 1, wanted)
+        near_count[q] = count
         for a in range(count):
             j = which[a]
             row = earlier[j] if j < n else ears[j - n]
             near[q, a] = row
             near_rss[q, a] = earlier_rss[j] if j < n else rss[j - n]
-            cross[a] = place_var * math.exp(-math.sqrt(best[a]) / length)
-            for b in range(a + 1):
+            away2 = best[a]
+            if j < n:
+                away2 += MEAN_ERROR2 * (row[SIGMA] ** 2 + ears[q, SIGMA] ** 2)
+            cross[q, a] = place_var * math.exp(-math.sqrt(away2) / length)
+            for b in range(a):
                 apart2 = 0.0
                 for axis in range(3):
                     apart2 += (near[q, a, axis] - near[q, b, axis]) ** 2
-                cov[a, b] = place_var * math.exp(-math.sqrt(apart2) / length)
-            cov[a, a] += noise_var
-        for a in range(count):
-            for b in range(a + 1):
-                value = cov[a, b]
-                for k in range(b):
-                    value -= cov[a, k] * cov[b, k]
-                cov[a, b] = math.sqrt(value) if a == b else value / cov[b, b]
-            value = cross[a]
-            for k in range(a):
-                value -= cov[a, k] * part[k]
-            part[a] = value / cov[a, a]
-        for a in range(count - 1, -1, -1):
-            value = part[a]
-            for k in range(a + 1, count):
-                value -= cov[k, a] * weights[q, k]
-            weights[q, a] = value / cov[a, a]
-        for a in range(count):
-            explained[q, a] = max(weights[q, a] * cross[a], 0.0)
+                if j < n or which[b] < n:
+                    apart2 += MEAN_ERROR2 * (near[q, a, SIGMA] ** 2 + near[q, b, SIGMA] ** 2)
+                cov[q, a, b] = place_var * math.exp(-math.sqrt(apart2) / length)
+            cov[q, a, a] = place_var
         if use[q] > 0.0:
             known[count_known] = n + q
             count_known += 1
+
+
+@njit(cache=True, nogil=True)
+def weigh(
+    count: int,
+    cov: FloatArray,
+    cross: FloatArray,
+    noise: FloatArray,
+    work: FloatArray,
+    part: FloatArray,
+    weights: FloatArray,
+) -> float:
+    """The variance (dB^2) that `count` neighbours explain; `weights` (k,) is what each counts for.
+
+    `cov` (k, k; lower half) and `cross` (k,) are of their shadows, `noise` (k,) is the variance of what else each has;
+    `work` (k, k) and `part` (k,) are overwritten.
+    """
+    for a in range(count):
+        value = cross[a]
+        for b in range(a + 1):
+            entry = cov[a, b] + noise[a] if a == b else cov[a, b]
+            for k in range(b):
+                entry -= work[a, k] * work[b, k]
+            work[a, b] = math.sqrt(entry) if a == b else entry / work[b, b]
+        for k in range(a):
+            value -= work[a, k] * part[k]
+        part[a] = value / work[a, a]
+    explained = 0.0
+    for a in range(count):
+        explained += part[a] * part[a]
+    for a in range(count - 1, -1, -1):
+        value = part[a]
+        for k in range(a + 1, count):
+            value -= work[k, a] * weights[k]
+        weights[a] = value / work[a, a]
+    return explained

@@ -12,12 +12,12 @@ from operator import is_
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 from scipy.special import gammainc, gammaincinv
 
 from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary
 from fieldkit.engine.belief.intensity.mixture import Mixture
+from fieldkit.engine.belief.intensity.region import smallest_region
 from fieldkit.engine.belief.intensity.silence import expected_asleep, gone_probability, gone_silent, silence
 from fieldkit.engine.belief.intensity.silence import words as silence_words
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
@@ -266,15 +266,8 @@ class IntensityBelief:
         Those outside the field have numbers that no cell of it has.
         """
         points, place = self._spread_out(candidate)
-        at = np.floor(points[:, ::-1] / self.grid.cell_m).astype(int)
-        cells, which = np.unique(at, axis=0, return_inverse=True)
-        weight = np.asarray(np.bincount(which.ravel(), weights=place), dtype=float)
-        sigma_cells = self.mixture.summary(candidate).shared_sigma_m / self.grid.cell_m
-        if sigma_cells > 0.25:
-            cells, weight = _blurred(cells, weight, sigma_cells)
-        order = np.argsort(-weight, kind="stable")
-        needed = int(np.searchsorted(np.cumsum(weight[order]), 0.9)) + 1
-        return {(int(row), int(column)) for row, column in cells[order[:needed]]}
+        shared_m = self.mixture.summary(candidate).shared_sigma_m
+        return smallest_region(points, place, self.grid.cell_m, shared_m, 0.9)
 
     def _region_90(self, candidate: Candidate) -> int:
         return len(self.region_90(candidate))
@@ -415,19 +408,6 @@ class IntensityBelief:
             state.update(candidate.evidence.tobytes())
             state.update(repr(sorted(candidate.responsibility.items())).encode())
         return state.digest()
-
-
-def _blurred(
-    cells: NDArray[np.intp], weight: FloatArray, sigma_cells: float
-) -> tuple[NDArray[np.intp], FloatArray]:
-    """Cells (k, 2) and their weights after an error of the positions, common to all that was heard."""
-    pad = int(np.ceil(3.0 * sigma_cells))
-    low = cells.min(axis=0) - pad
-    grid = np.zeros(tuple(cells.max(axis=0) + pad + 1 - low))
-    grid[tuple((cells - low).T)] = weight
-    grid = gaussian_filter(grid, sigma_cells, mode="constant")
-    some = np.argwhere(grid > 1e-9)
-    return some + low, np.asarray(grid[tuple(some.T)] / grid.sum())
 
 
 def rates_above(
