@@ -8,7 +8,7 @@ from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.walks import PairPatrol, Patrol
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.errors import ConfigError
-from mission.lab.study import prwa, rwa
+from mission.lab.study import agents, planners, prwa, rover, rwa, shadowing, trust, world
 from mission.lab.study.experiment import Experiment, Job, key, plot, run, summarise, table_csv
 from mission.lab.study.packets import transmissions
 from mission.lab.study.twin import against_numpy
@@ -52,8 +52,14 @@ def test_of_an_experiment_the_points_that_are_named_are_run(tmp_path) -> None:  
     del some["scenarios"][key("other", 1.0)]
     plot(some, tmp_path / "some.png")
     assert (tmp_path / "some.png").stat().st_size > 5000
-    with pytest.raises(ConfigError, match=r"no point has 'two'.*points are: one, 1; other, 1; one, 2"):
+    with pytest.raises(ConfigError, match=r"'two': no row .*rows are: one, 1; other, 1; one, 2"):
         run(EXPERIMENT, 2, 0, quiet, only="two")
+
+
+@pytest.mark.parametrize("study", [trust, planners, world, shadowing, agents, rover])
+def test_a_row_that_no_study_has_is_refused_and_those_it_has_are_named(study) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ConfigError, match=r"--only 'no such row'.*rows are: \w"):
+        study.run(1, 0, quiet, only="no such row")
 
 
 def test_every_method_meets_the_same_packets() -> None:

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldkit.errors import ConfigError
-from mission.lab.study.pool import Progress, run_trials
+from mission.lab.study.pool import Progress, having, run_trials
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +53,12 @@ class Experiment:
 def run(
     experiment: Experiment, trials: int, seed: int, progress: Progress, *, only: str = "", **how: Any
 ) -> dict[str, Any]:
-    """Trials and their summary, of the points whose name ("method, x") contains `only`.
+    """Trials and their summary, of the points whose name ("method, x") contains `only` (see `having`).
 
     `how` goes to `run_trials` (workers, kept, dask). Raises `ConfigError` where no point has that name.
     """
-    jobs = [job for job in experiment.jobs(trials, seed) if only in key(job.method, job.x)]
-    if not jobs:
-        names = "; ".join(key(method, x) for x in experiment.xs for method in experiment.methods)
-        raise ConfigError(f"study {experiment.name}: no point has {only!r} in its name; points are: {names}")
+    names = having(only, (key(method, x) for x in experiment.xs for method in experiment.methods))
+    jobs = [job for job in experiment.jobs(trials, seed) if key(job.method, job.x) in names]
     rows = run_trials(experiment.trial, jobs, progress, **how)
     grouped: dict[str, list[dict[str, Any]]] = {}
     for job, row in zip(jobs, rows, strict=True):

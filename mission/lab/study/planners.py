@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mission.lab.study.pool import Progress, run_trials
+from mission.lab.study.pool import Progress, having, run_trials
 from mission.lab.study.trust import Job, Scenario, summarise, trial
 
 NOW, BEFORE = "infogain2", "infogain"
@@ -41,7 +41,8 @@ def run(trials: int, seed: int, progress: Progress, *, only: str = "", **how: An
 
     `how` goes to `run_trials`.
     """
-    wanted = [each for each in SCENARIOS if only in each.name]
+    names = having(only, (each.name for each in SCENARIOS))
+    wanted = [each for each in SCENARIOS if each.name in names]
     jobs = [Job(scenario, seed + k) for scenario in wanted for k in range(trials)]
     rows = run_trials(trial, jobs, progress, **how)
     groups = {

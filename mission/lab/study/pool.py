@@ -6,7 +6,7 @@ in, it stands once in what comes back.
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -25,6 +25,17 @@ CONNECT_S = 15.0
 """How long a Dask scheduler and its first worker are waited for."""
 MAX_DEATHS = 5
 """So often a trial is handed in anew after a Dask scheduler gave it up because its workers died."""
+
+
+def having(only: str, names: Iterable[str]) -> list[str]:
+    """Of `names` the one that is `only`, or those that have it in them. Raises `ConfigError` where none has."""
+    names = list(dict.fromkeys(names))
+    chosen = [name for name in names if name == only] or [name for name in names if only in name]
+    if not chosen:
+        raise ConfigError(
+            f"--only {only!r}: no row of this study has that in its name; rows are: {'; '.join(names)}"
+        )
+    return chosen
 
 
 def run_trials(

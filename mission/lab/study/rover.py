@@ -24,7 +24,7 @@ from fieldkit.world.bodies import Rover
 from fieldkit.world.shadowing import ShadowField
 from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
-from mission.lab.study.pool import Progress, run_trials
+from mission.lab.study.pool import Progress, having, run_trials
 
 EAST_M, NORTH_M, UP_M, SOURCE_UP_M = 300.0, 270.0, 40.0, 1.5
 DRONE_M_S, STEP_S, READING_S = 10.0, 0.5, 2.0
@@ -241,7 +241,7 @@ def _look(world: World, pilot: Pilot) -> dict[str, Any]:
 
 def run(trials: int, seed: int, progress: Progress, *, only: str = "", **how: Any) -> dict[str, Any]:
     """JSON: for each pilot and look {"own_median_m", "located_median_m", "located_p90_m", "covered_90"}."""
-    wanted = [name for name in PILOTS if only in name]
+    wanted = having(only, PILOTS)
     jobs = [Job(name, seed + k) for name in wanted for k in range(trials)]
     rows = run_trials(trial, jobs, progress, **how)
     scenarios: dict[str, Any] = {}

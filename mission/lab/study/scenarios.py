@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
 
 from mission.core.kernel import Kernel
-from mission.lab.study.pool import Progress, Trial, run_trials
+from mission.lab.study.pool import Progress, Trial, having, run_trials
 
 FOUND_WITHIN_M = 1.0
 """A source is found when a find lies within this of it."""
@@ -51,10 +51,8 @@ def run_scenarios(
 
     `how` goes to `run_trials`.
     """
-    named = [each for each in scenarios if each.name == only] or [
-        each for each in scenarios if only in each.name
-    ]
-    wanted = [(scenario, seed + k) for scenario in named for k in range(trials)]
+    names = having(only, (each.name for each in scenarios))
+    wanted = [(each, seed + k) for each in scenarios if each.name in names for k in range(trials)]
     rows = run_trials(trial, [job(*each) for each in wanted], progress, **how)
     grouped: dict[str, list[dict[str, Any]]] = {}
     for (scenario, _), row in zip(wanted, rows, strict=True):

@@ -24,7 +24,7 @@ from mission.core.kernel import Kernel
 from mission.core.kernel_settings import KernelSettings
 from mission.lab.simulate import Truth, simulate
 from mission.lab.study.packets import ROBOTS_APART_M
-from mission.lab.study.pool import Progress, run_trials
+from mission.lab.study.pool import Progress, having, run_trials
 
 FIELD_M, CELL_M, RATE_HZ = 25.0, 0.5, 0.05
 LEVELS_DB = (-8.0, -6.0, -4.0, -2.0, 0.0)
@@ -215,8 +215,9 @@ def run(
     paper_trials: int = 0,
     **how: Any,
 ) -> dict[str, Any]:
-    """All scenarios, `trials` each from `seed` on; `only` keeps those whose name contains it; `how` as `run_trials`."""
-    wanted = [s for s in SCENARIOS if only in s.name]
+    """All scenarios, `trials` each from `seed` on; `only` as `having`, `how` as `run_trials`."""
+    names = having(only, (each.name for each in SCENARIOS))
+    wanted = [each for each in SCENARIOS if each.name in names]
     jobs = [Job(scenario, seed + k) for scenario in wanted for k in range(trials)]
     jobs += [Job(PAPER, seed + k) for k in range(paper_trials)]
     rows = run_trials(trial, jobs, progress, **how)
