@@ -47,10 +47,18 @@ def antenna_file(
         data=data,
         radio={name: text for name, text in (("family", family), ("setting", radio)) if text},
         spread=spread,
-        receivers={name: Receiver(value) for name, (value, _) in result.receiver_offsets_db.items()},
+        receivers=_receivers(result),
         model=_model(pattern),
         pattern={} if pattern is None or _round(pattern) else _table(pattern),
     )
+
+
+def _receivers(result: FitResult) -> dict[str, Receiver]:
+    """Those whose offset is known: the one that all was calibrated with, or the first and those compared with it."""
+    names = result.readings.receivers
+    if len(names) > 1 and not result.receiver_offsets_db:
+        return {}
+    return {name: Receiver(result.receiver_offsets_db.get(name, (0.0, 0.0))[0]) for name in names}
 
 
 def _round(pattern: Pattern | None) -> bool:

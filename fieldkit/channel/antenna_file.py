@@ -62,6 +62,8 @@ class Receiver:
     """How much more it reports."""
     threshold_dbm: float | None = None
     saturation_dbm: float | None = None
+    offset_measured: bool = True
+    """Whether somebody measured the offset, be it 0."""
 
 
 def spread_of(file: AntennaFile) -> ChannelSpread:
@@ -229,8 +231,18 @@ def _receivers(table: Any, where: str) -> dict[str, Receiver]:
             raise ConfigError(
                 f"{where}: receivers.{name}: expected finite numbers under {', '.join(sorted(known))}, got {entry!r}"
             )
-        found[name] = Receiver(**{key: float(value) for key, value in entry.items()})
+        numbers = {key: float(value) for key, value in entry.items()}
+        found[name] = replace(Receiver(**numbers), offset_measured="offset_db" in numbers)  # type: ignore[arg-type]
     return found
+
+
+def _numbers(radio: Receiver) -> dict[str, float | None]:
+    """A radio's entry in the file: an offset that nobody measured is none."""
+    return {
+        "offset_db": radio.offset_db if radio.offset_measured else None,
+        "threshold_dbm": radio.threshold_dbm,
+        "saturation_dbm": radio.saturation_dbm,
+    }
 
 
 def _check_pattern(pattern: Any, model: str, where: str) -> None:
@@ -304,7 +316,7 @@ def dump_antenna(file: AntennaFile) -> str:
         document["channel"] = table_of(file.spread)
     if file.receivers:
         document["receivers"] = {
-            name: {key: value for key, value in asdict(radio).items() if value is not None}
+            name: {key: value for key, value in _numbers(radio).items() if value is not None}
             for name, radio in file.receivers.items()
         }
     if file.intervals_95:

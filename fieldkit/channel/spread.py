@@ -23,6 +23,8 @@ UNKNOWN_POWER_DB = 10.0
 """Standard deviation of a source's power where no transmitters were compared."""
 KNOWN_POWER_DB = 0.1
 """The same of sources whose power levels are known."""
+UNMEASURED_RECEIVER_DB = 2.0
+"""Standard deviation of a receiver's offset that nobody measured: what radios of one kind differ by."""
 HYPER = (
     "sigma_time_db",
     "sigma_place_db",
@@ -68,6 +70,8 @@ class ChannelSpread:
     power_at_1m_dbm: float | None = None
     """Mean of w over the calibration's transmitters; None: the antenna's."""
     path_loss_exponent: float | None = None
+    receiver_db: float = UNMEASURED_RECEIVER_DB
+    """Of the offsets of receivers that were not measured."""
     assumed: str = ""
     """What of it was not measured, in words; empty where all was."""
 
@@ -77,7 +81,14 @@ class ChannelSpread:
                 raise ConfigError(
                     f"channel.{name}: expected a positive number of dB, got {getattr(self, name)}"
                 )
-        for name in ("sigma_place_db", "correlation_m", "transmitter_exponent", "lobe_db", "elevation_sd"):
+        for name in (
+            "sigma_place_db",
+            "correlation_m",
+            "transmitter_exponent",
+            "lobe_db",
+            "elevation_sd",
+            "receiver_db",
+        ):
             if not getattr(self, name) >= 0.0:
                 raise ConfigError(f"channel.{name}: expected no less than 0, got {getattr(self, name)}")
 

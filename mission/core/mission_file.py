@@ -215,12 +215,12 @@ def _receivers(file: MissionFile, antenna: AntennaFile) -> dict[str, Receiver]:
     """Each robot's own radio: as the mission file has it, else the antenna file; who is in neither is as calibrated."""
     found = {}
     for robot in file.robot:
-        radio = antenna.receivers.get(robot.name, Receiver())
+        radio = antenna.receivers.get(robot.name, Receiver(offset_measured=False))
         if robot.rss_offset_db is not None:
-            radio = replace(radio, offset_db=robot.rss_offset_db)
+            radio = replace(radio, offset_db=robot.rss_offset_db, offset_measured=True)
         if robot.threshold_dbm is not None:
             radio = replace(radio, threshold_dbm=robot.threshold_dbm)
-        if radio != Receiver():
+        if radio != Receiver(offset_measured=False):
             found[robot.name] = radio
     return found
 
@@ -233,6 +233,9 @@ def _spread(file: MissionFile, antenna: AntennaFile) -> ChannelSpread | None:
     if not file.engine.place_noise or file.engine.belief != "intensity":
         return None
     spread = spread_of(antenna)
+    if len(file.robot) == 1:
+        # One receiver is off by as much as all sources are stronger: that is in the calibration's power.
+        spread = replace(spread, receiver_db=0.0)
     return known_power(spread) if "power_levels_db" in file.sources.model_fields_set else spread
 
 

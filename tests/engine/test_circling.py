@@ -5,6 +5,8 @@ ratio (Apollonius): with the power unknown by 10 beta log10(radius / distance) d
 tells the two apart. A belief must hold both for possible.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sizes import size
@@ -24,7 +26,7 @@ S = 1_000_000_000
 
 
 def circled(*, power_known: bool, seed: int, packets: int = 40) -> IntensityBelief:
-    spread = assumed(RADIO)
+    spread = replace(assumed(RADIO), receiver_db=0.0)
     belief = IntensityBelief(
         EngineSettings(
             Grid(SIDE_M, SIDE_M, 1.0),

@@ -12,6 +12,8 @@ from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.likelihood import levels_loops
+from fieldkit.engine.likelihood.ears import Ears
+from fieldkit.engine.likelihood.ears_loops import OFFSET, ROBOT
 from fieldkit.engine.likelihood.levels import LevelsModel
 from fieldkit.engine.likelihood.places import (
     DEEPEST,
@@ -36,10 +38,11 @@ ANTENNA = Antenna(2.53, -62.0, float(np.hypot(2.0, 4.0)), -80.0)
 NONE = NOTHING_EARLIER
 
 
-def earlier_at(model, position, rss):
-    """Readings of a robot on the ground."""
+def earlier_at(model, position, rss, robots=("r0",)):
+    """Readings of robots on the ground, who take turns."""
     place, none = np.array(position, dtype=float).reshape(-1, 2), np.empty(0)
-    return Earlier(model.ears.of(["r0"] * len(place), place, none, none, none), np.array(rss, dtype=float))
+    turns = [robots[k % len(robots)] for k in range(len(place))]
+    return Earlier(model.ears.of(turns, place, none, none, none), np.array(rss, dtype=float))
 
 
 def detection(rss, position, t_ns=0):
@@ -54,8 +57,9 @@ def detection(rss, position, t_ns=0):
     )
 
 
-def noise(spread=SPREAD, antenna=ANTENNA, levels=LEVELS):
-    model = LevelsModel(antenna, levels, 0.1)
+def noise(spread=SPREAD, antenna=ANTENNA, levels=LEVELS, receiver_db=0.0, measured=()):
+    ears = Ears(antenna, point_sigma_m=0.1, receiver_db=receiver_db, measured=frozenset(measured))
+    model = LevelsModel(antenna, levels, 0.1, ears=ears)
     return model, PlaceNoise(model, spread, 0.05)
 
 
@@ -81,28 +85,38 @@ def test_without_place_noise_it_equals_independent_readings(still):
 def twin(model, d, point, level_dbm, earlier):
     """log p robot by robot, those who heard first, from the docstrings of `levels` and `places`."""
     smear = 25.3 / np.log(10.0) * model.place_sigma_m
-    alone = SPREAD.sigma_time_db**2 + SPREAD.sigma_place_db**2
     place, rss, now = list(earlier.ears[:, :2]), list(earlier.rss_dbm), [False] * len(earlier.ears)
+    whose, own_ears = list(earlier.ears[:, ROBOT]), model.ears.of_detection(d)
     off2 = np.pi / 2.0 * 2.0 * model.place_sigma_m**2
     total = 0.0
 
-    def shadow(a, b, same_time):
-        return 16.0 * np.exp(-np.sqrt(((a - b) ** 2).sum() + (0.0 if same_time else off2)) / 3.0)
+    def shadow(a, b, same_time, offset):
+        return 16.0 * np.exp(-np.sqrt(((a - b) ** 2).sum() + (0.0 if same_time else off2)) / 3.0) + offset
 
     for q in np.argsort(~d.heard, kind="stable"):
         at = d.position_m[q]
-        shift, left = 0.0, alone
+        offset2 = 0.0 if d.robots[q] in model.ears.measured else model.ears.receiver_db**2
+        of_robot = {own_ears[k, ROBOT]: own_ears[k, OFFSET] for k in range(len(own_ears))}
+        shift, left = 0.0, 4.0 + 16.0 + offset2
         if place:
             range2 = np.array([max(float(((p - point) ** 2).sum()), MIN_RANGE_M**2) for p in place])
-            both = list(zip(place, now, strict=True))
-            own = 4.0 + 1.0 / 12.0 + smear**2 / (range2 + model.place_sigma_m**2)
-            cov = np.array([[shadow(a, b, x and y) for a, x in both] for b, y in both])
-            np.fill_diagonal(cov, 16.0 + own)
-            cross = np.array([shadow(p, at, x) for p, x in both])
+            both = list(zip(place, now, whose, strict=True))
+            cov = np.array(
+                [
+                    [shadow(a, b, x and y, of_robot[u] if u == v else 0.0) for a, x, u in both]
+                    for b, y, v in both
+                ]
+            )
+            cov += np.diag(4.0 + 1.0 / 12.0 + smear**2 / (range2 + model.place_sigma_m**2))
+            for k in range(len(place)):
+                cov[k, k] += 16.0 - shadow(place[k], place[k], now[k], 0.0)
+            mine = own_ears[q, ROBOT]
+            cross = np.array([shadow(p, at, x, offset2 if u == mine else 0.0) for p, x, u in both])
             weights = np.linalg.solve(cov, cross)
             shift = float(weights @ (np.array(rss) - level_dbm + 12.65 * np.log10(range2)))
             left -= float(weights @ cross)
-        shift = float(np.clip(shift, -4.0 * DEEPEST, 4.0 * DEEPEST))
+        furthest = DEEPEST * np.sqrt(16.0 + offset2)
+        shift = float(np.clip(shift, -furthest, furthest))
         range2 = max(float(((at - point) ** 2).sum()), MIN_RANGE_M**2)
         sigma = np.sqrt(left + smear**2 / (range2 + model.place_sigma_m**2))
         mean = level_dbm - 12.65 * np.log10(range2) + shift
@@ -118,14 +132,17 @@ def twin(model, d, point, level_dbm, earlier):
                 + RADIO.outliers * norm.pdf(z, mean, RADIO.outlier_width * wide)
             )
         )
-        place, rss, now = [*place, at], [*rss, z], [*now, True]
+        place, rss, now, whose = [*place, at], [*rss, z], [*now, True], [*whose, own_ears[q, ROBOT]]
     return total
 
 
-def test_the_compiled_loop_agrees_with_a_plain_twin():
-    model, places = noise()
+@pytest.mark.parametrize("receiver_db", [0.0, 3.0])
+def test_the_compiled_loop_agrees_with_a_plain_twin(receiver_db):
+    model, places = noise(receiver_db=receiver_db, measured=["r2"])
     d = detection([-70.0, np.nan, -66.0], [(1.0, 2.0), (4.0, 4.0), (1.5, 2.0)])
-    earlier = earlier_at(model, [[1.1, 2.0], [3.0, 3.0]], [-60.0, -71.0])
+    earlier = earlier_at(
+        model, [[1.1, 2.0], [3.0, 3.0], [2.0, 2.0]], [-60.0, -71.0, -65.0], ("r0", "r2", "r1")
+    )
     points = np.random.default_rng(2).uniform(0.0, 6.0, (30, 2))
     log = places.log_likelihood(d, points, earlier)
     for h, level in enumerate(model.level_dbm):
@@ -164,6 +181,24 @@ def test_the_choice_of_neighbours_agrees_with_a_plain_twin():
         if d.heard[q]:
             before, rss = np.concatenate([before, ears[q : q + 1]]), np.append(rss, d.rss_dbm[q])
             now = np.append(now, True)
+
+
+def test_what_one_receiver_reports_more_is_no_word_on_the_place_but_where_it_was_measured():
+    """Two places by which the same receiver should read 6 dB apart; four readings elsewhere were 6 dB too strong."""
+    d = detection([-62.0], [(0.0, 0.0)])
+    points = np.array([[1.0, 0.0], [1.73, 0.0]])
+    told = []
+    for measured in ([], ["r0"]):
+        still = ChannelSpread(2.0, 0.1, 1.0, transmitter_db=0.1)
+        model, places = noise(still, Antenna(2.53, -62.0, 2.0, -80.0), (0.0,), 6.0, measured)
+        away = np.array([[9.0, 0.0], [0.0, 9.0], [9.0, 9.0], [-9.0, 0.0]])
+        # `REACH` correlation lengths of 1 m: brought near for the choice, by places that make no noise.
+        earlier = earlier_at(
+            model, 0.2 * away, -62.0 - 25.3 * np.log10(np.hypot(*(0.2 * away - points[1]).T)) + 6.0
+        )
+        log = places.log_likelihood(d, points, earlier)[0]
+        told.append(log[1] - log[0])
+    assert told[0] > 1.0 > 0.0 > told[1]
 
 
 def test_the_next_reading_of_a_place_tells_little_of_the_distance():

@@ -1,8 +1,9 @@
 """How faint a source is at a receiver: by 3-D distance, elevation and azimuth, and by the receiver's own radio.
 
 A receiver in one moment is a row of numbers, an ear: where it was, how high above the sources, where its antenna's
-front pointed, its own threshold, and how unsure its place is. What a receiver reports too much is taken off its
-readings once, when they come in, and off its threshold: what is left follows the law of one calibrated radio.
+front pointed, its own threshold, how unsure its place is, whose it is and how unsure what it reports too much. What is
+known of that is taken off its readings once, when they come in, and off its threshold: what is left follows the law of
+one calibrated radio.
 
     attenuation = 10 beta log10 d3 - kappa 20 log10 cos(elevation) - gain(azimuth - heading)
 
@@ -12,6 +13,7 @@ of the sources feels; cos is no less than 0.1, since no real null is deeper.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from zlib import crc32
 
 import numpy as np
 
@@ -24,6 +26,8 @@ from fieldkit.engine.likelihood.ears_loops import (
     HEADING,
     LEAST_COS,
     NORTH,
+    OFFSET,
+    ROBOT,
     SIGMA,
     THRESHOLD,
     UP,
@@ -45,6 +49,9 @@ class Ears:
     """Half a point of the belief's cloud, as a deviation."""
     pose_sigma_m: float = 0.0
     """Deviation of a position that states none, or a smaller one."""
+    receiver_db: float = 0.0
+    """Deviation of the offsets of receivers that are not `measured`."""
+    measured: frozenset[str] = frozenset()
 
     @property
     def law(self) -> law.Law:
@@ -92,6 +99,8 @@ class Ears:
             np.maximum(sigma_m, self.pose_sigma_m) if sigma_m.size else np.full(m, self.pose_sigma_m)
         )
         ears[:, SIGMA] = np.hypot(deviation_m, self.point_sigma_m)
+        ears[:, ROBOT] = [crc32(robot.encode()) for robot in robots]
+        ears[:, OFFSET] = [0.0 if robot in self.measured else self.receiver_db**2 for robot in robots]
         return ears
 
     def of_detection(self, detection: Detection) -> FloatArray:

@@ -6,9 +6,9 @@ from fieldkit.channel.law import Law
 from fieldkit.engine.compiled import njit
 from fieldkit.messages import FloatArray
 
-EAST, NORTH, UP, HEADING, THRESHOLD, SIGMA = range(6)
-"""Columns of an ear: metres (up: above the sources), radians clockwise from north, dBm, metres."""
-COLUMNS = 6
+EAST, NORTH, UP, HEADING, THRESHOLD, SIGMA, ROBOT, OFFSET = range(8)
+"""Columns of an ear: metres (up: above the sources), radians clockwise from north, dBm, metres, whose it is, dB^2."""
+COLUMNS = 8
 LEAST_COS = 0.1
 
 

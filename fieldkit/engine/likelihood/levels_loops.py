@@ -10,7 +10,15 @@ import numpy as np
 
 from fieldkit.channel.law import Law
 from fieldkit.engine.compiled import njit
-from fieldkit.engine.likelihood.ears_loops import EAST, NORTH, SIGMA, THRESHOLD, beyond_distance_db, square_m2
+from fieldkit.engine.likelihood.ears_loops import (
+    EAST,
+    NORTH,
+    OFFSET,
+    SIGMA,
+    THRESHOLD,
+    beyond_distance_db,
+    square_m2,
+)
 from fieldkit.engine.likelihood.law_loops import as_far_m2, loss_db, slope_db
 from fieldkit.engine.likelihood.places_loops import weigh
 from fieldkit.messages import FloatArray, IntArray
@@ -151,7 +159,7 @@ def conditional_loglik(
     cov: FloatArray,
     place_var: float,
     time_var: float,
-    furthest: float,
+    deepest: float,
     levels: FloatArray,
     law: Law,
     pattern: FloatArray,
@@ -168,8 +176,8 @@ def conditional_loglik(
 
     `near` (m * k, columns of an ear), `near_rss` (m, k) and `near_count` (m,) are those readings, `cross` (m, k) and
     `cov` (m, k, k) as `choose_neighbours` has them. A reading made so near the point that an unsure place alone moves
-    it by decibels says less of the shadow, and no shadow is believed that is deeper than `furthest` dB: those who heard
-    another source are no reason to expect one.
+    it by decibels says less of the shadow, and no shadow is believed that is deeper than `deepest` of its deviations:
+    those who heard another source are no reason to expect one.
     """
     n, m, n_levels, most = points.shape[0], ears.shape[0], levels.shape[0], cross.shape[1]
     noise, off_dbm, weights, part = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
@@ -198,7 +206,9 @@ def conditional_loglik(
                 )
                 its2 = near[row, SIGMA] * near[row, SIGMA]
                 noise[j] = time_var + 1.0 / 12.0 + steep * steep * its2 / (away2 + its2)
-            left = place_var + time_var - weigh(near_count[q], cov[q], cross[q], noise, work, part, weights)
+            alike = place_var + ears[q, OFFSET]
+            furthest = deepest * math.sqrt(alike)
+            left = alike + time_var - weigh(near_count[q], cov[q], cross[q], noise, work, part, weights)
             moved = 0.0
             taken = 0.0
             for j in range(near_count[q]):

@@ -1,4 +1,4 @@
-"""What one candidate's readings, and the team's silence, have in common because they were made at the same places.
+"""What one candidate's readings, and the team's silence, have in common: the places, and whose receiver it was.
 
 A reading is conditioned on the candidate's own earlier readings nearby (`correlated` says how and why); what is heard
 of it at the fiftieth time in one place says little new. A place that has been silent for long is one witness: the
@@ -16,7 +16,7 @@ from fieldkit.channel import law
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.likelihood import levels_loops
-from fieldkit.engine.likelihood.ears_loops import COLUMNS, NORTH, SIGMA, UP
+from fieldkit.engine.likelihood.ears_loops import COLUMNS, NORTH, OFFSET, SIGMA, UP
 from fieldkit.engine.likelihood.levels import PER_SIGMA, SILENT_FROM, LevelsModel, tables
 from fieldkit.engine.likelihood.places_loops import choose_neighbours, weigh
 from fieldkit.messages import Detection, FloatArray, IntArray
@@ -170,7 +170,7 @@ class PlaceNoise:
             near.cov_db2,
             self.place_var,
             self.time_var,
-            DEEPEST * float(np.sqrt(self.place_var)),
+            DEEPEST,
             self.model.level_dbm,
             self.model.ears.law,
             self.model.ears.pattern_db,
@@ -193,8 +193,6 @@ class PlaceNoise:
         """Mean squared standardised residual one step ahead of a source's readings, and how many there are."""
         squares: list[float] = []
         earlier = NOTHING_EARLIER
-        alone = self.time_var + self.place_var
-        furthest = DEEPEST * float(np.sqrt(self.place_var))
 
         def unsure_db2(ears: FloatArray) -> FloatArray:
             flat2 = ((ears[..., : NORTH + 1] - point_m) ** 2).sum(axis=-1)
@@ -212,9 +210,11 @@ class PlaceNoise:
             near = self._neighbours(detection, ears, earlier)
             weights, explained = near.weighed(self.time_var + 1.0 / 12.0 + unsure_db2(near.ears))
             off = weights * (near.rss_dbm - level_dbm + fainter_db(near.ears))
+            alike = self.place_var + ears[:, OFFSET]
+            furthest = DEEPEST * np.sqrt(alike)
             expected = np.clip(off.sum(axis=1), -furthest, furthest)
             use = detection.heard & ~detection.saturated
-            variance = alone - explained + unsure_db2(ears) + 1.0 / 12.0
+            variance = self.time_var + alike - explained + unsure_db2(ears) + 1.0 / 12.0
             residual = detection.rss_dbm - level_dbm + fainter_db(ears) - expected
             squares += np.minimum(residual[use] ** 2 / variance[use], 12.0).tolist()
             earlier = Earlier(

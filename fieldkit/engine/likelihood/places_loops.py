@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from fieldkit.engine.compiled import njit
-from fieldkit.engine.likelihood.ears_loops import SIGMA
+from fieldkit.engine.likelihood.ears_loops import OFFSET, ROBOT, SIGMA
 from fieldkit.messages import FloatArray, IntArray
 
 MEAN_ERROR2 = math.pi / 2.0
@@ -29,11 +29,11 @@ def choose_neighbours(
     cross: FloatArray,
     cov: FloatArray,
 ) -> None:
-    """Of each ear (m, columns) the nearest readings before it, and what shadow it and they have in common.
+    """Of each ear (m, columns) the nearest readings before it, and what shadow and offset it and they have in common.
 
     Robots take their turn in `order` (m,); whoever has a reading (`use`) is known to those that follow, as are the
     `earlier` (n, columns). Filled are `near` (m, k, columns), `near_rss` (m, k), `near_count` (m,), `cross` (m, k) with
-    the ear's own shadow and `cov` (m, k, k; lower half) among them, in dB^2. Readings further away than `reach` are no
+    the ear's own reading and `cov` (m, k, k; lower half) among them, in dB^2. Readings further away than `reach` are no
     neighbours; of two as near the earlier is one. At another time a robot was off by another error: by how much two
     places are not known counts as distance between them.
     """
@@ -72,6 +72,8 @@ def choose_neighbours(
             if j < n:
                 away2 += MEAN_ERROR2 * (row[SIGMA] ** 2 + ears[q, SIGMA] ** 2)
             cross[q, a] = place_var * math.exp(-math.sqrt(away2) / length)
+            if row[ROBOT] == ears[q, ROBOT]:
+                cross[q, a] += row[OFFSET]
             for b in range(a):
                 apart2 = 0.0
                 for axis in range(3):
@@ -79,7 +81,9 @@ def choose_neighbours(
                 if j < n or which[b] < n:
                     apart2 += MEAN_ERROR2 * (near[q, a, SIGMA] ** 2 + near[q, b, SIGMA] ** 2)
                 cov[q, a, b] = place_var * math.exp(-math.sqrt(apart2) / length)
-            cov[q, a, a] = place_var
+                if near[q, a, ROBOT] == near[q, b, ROBOT]:
+                    cov[q, a, b] += near[q, a, OFFSET]
+            cov[q, a, a] = place_var + near[q, a, OFFSET]
         if use[q] > 0.0:
             known[count_known] = n + q
             count_known += 1

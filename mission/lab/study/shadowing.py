@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fieldkit.channel.model import Antenna
-from fieldkit.channel.spread import ChannelSpread
+from fieldkit.channel.spread import UNMEASURED_RECEIVER_DB, ChannelSpread
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
@@ -79,6 +79,7 @@ def settings(scenario: Scenario, seed: int) -> EngineSettings:
         transmitter_db=max(0.1, scenario.offset_db),
         transmitter_exponent=0.0,
         lobe_db=0.0,
+        receiver_db=UNMEASURED_RECEIVER_DB if scenario.offset_db else 0.0,
     )
     return EngineSettings(
         Grid(FIELD_M, FIELD_M, CELL_M),

@@ -69,6 +69,8 @@ class Mixture:
             settings.receivers,
             float(point_sigma_m),
             settings.pose_sigma_m,
+            settings.spread.receiver_db if settings.spread is not None else 0.0,
+            frozenset(robot for robot, radio in settings.receivers.items() if radio.offset_measured),
         )
         self.model = LevelsModel(
             settings.antenna,
