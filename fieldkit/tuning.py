@@ -206,7 +206,15 @@ class InfogainTuning(_Table):
     horizon_s: float = tuned(45.0, 1.0, 3_600.0, "s", "how far ahead paths are judged", HAND)
     step_s: float = tuned(1.5, 0.1, 60.0, "s", "time between the points of a path that are weighed", MEMORY)
     ground_paths: int = tuned(60, 2, 10_000, "", "paths over unsearched ground", MEMORY)
-    paths_per_candidate: int = tuned(16, 1, 1_000, "", "paths round each candidate", MEMORY)
+    paths_per_candidate: int = tuned(40, 1, 1_000, "", "paths round each candidate", PLANNERS)
+    budget: int = tuned(
+        0,
+        0,
+        100_000,
+        "",
+        "paths that local search values beside the first ones; 0: it is left out",
+        PLANNERS,
+    )
     max_candidates: int = tuned(6, 1, 1_000, "", "nearest candidates that get paths", MEMORY)
     most_legs: int = tuned(8, 2, 100, "", "legs of a path", MEMORY)
     samples: int = tuned(16, 2, 1_000, "", "samples of where a candidate may be", MEMORY)
@@ -220,14 +228,14 @@ class InfogainTuning(_Table):
     ground_rate: float = tuned(
         0.25, 0.01, 10.0, "", "rate of sources not yet heard, in reference rates", FACTORIAL
     )
-    resolve_value: float = tuned(2.0, 0.0, 1_000.0, "", "of a candidate's place made certain", HAND)
-    reception_value: float = tuned(0.3, 0.0, 1_000.0, "", "of its receptions", HAND)
-    target_cells: float = tuned(0.45, 0.01, 100.0, "cell", "standard deviation that is aimed at", HAND)
+    resolve_value: float = tuned(4.0, 0.0, 1_000.0, "", "of a candidate's place made certain", PLANNERS)
+    reception_value: float = tuned(3.0, 0.0, 1_000.0, "", "of its receptions", PLANNERS)
+    target_cells: float = tuned(0.3, 0.01, 100.0, "cell", "standard deviation that is aimed at", PLANNERS)
     settled_cells: float = tuned(
         0.25, 0.01, 100.0, "cell", "the same of a find that is looked at again", HAND
     )
     settle_value: float = tuned(
-        4.0,
+        8.0,
         0.0,
         1_000.0,
         "",
@@ -251,23 +259,15 @@ class InfogainTuning(_Table):
 
 
 @dataclass(frozen=True, slots=True)
-class Infogain2Tuning(InfogainTuning):
-    """Planner `infogain2`: which paths it compares, and by which reward."""
+class Infogain1Tuning(InfogainTuning):
+    """Planner `infogain1`, the default of before: which paths it compares, and by which reward."""
 
-    paths_per_candidate: int = tuned(40, 1, 1_000, "", "paths round each candidate", PLANNERS)
-    budget: int = tuned(
-        0,
-        0,
-        100_000,
-        "",
-        "paths that local search values beside the first ones; 0: it is left out",
-        PLANNERS,
-    )
-    resolve_value: float = tuned(4.0, 0.0, 1_000.0, "", "of a candidate's place made certain", PLANNERS)
-    reception_value: float = tuned(3.0, 0.0, 1_000.0, "", "of its receptions", PLANNERS)
-    target_cells: float = tuned(0.3, 0.01, 100.0, "cell", "standard deviation that is aimed at", PLANNERS)
+    paths_per_candidate: int = tuned(16, 1, 1_000, "", "paths round each candidate", MEMORY)
+    resolve_value: float = tuned(2.0, 0.0, 1_000.0, "", "of a candidate's place made certain", HAND)
+    reception_value: float = tuned(0.3, 0.0, 1_000.0, "", "of its receptions", HAND)
+    target_cells: float = tuned(0.45, 0.01, 100.0, "cell", "standard deviation that is aimed at", HAND)
     settle_value: float = tuned(
-        8.0,
+        4.0,
         0.0,
         1_000.0,
         "",
@@ -304,7 +304,7 @@ class Tuning:
     intensity: IntensityTuning = IntensityTuning()
     paper_beliefs: PaperBeliefTuning = PaperBeliefTuning()
     infogain: InfogainTuning = InfogainTuning()
-    infogain2: Infogain2Tuning = Infogain2Tuning()
+    infogain1: Infogain1Tuning = Infogain1Tuning()
     ridges: RidgeTuning = RidgeTuning()
 
     def tables(self) -> dict[str, dict[str, Any]]:

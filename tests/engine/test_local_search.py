@@ -7,7 +7,7 @@ import pytest
 
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.planning.base import Situation
-from fieldkit.engine.planning.infogain2 import InfoGain2Planner
+from fieldkit.engine.planning.infogain import InfoGainPlanner
 from fieldkit.engine.planning.reward import Reward
 from fieldkit.engine.planning.search import BATCH, Departure, Options, Search
 from fieldkit.engine.settings import EngineSettings
@@ -35,7 +35,7 @@ def searched(
     engine: EngineSettings, budget: int, **limits: object
 ) -> tuple[Options, FloatArray, FloatArray, int]:
     """Paths after local search with their rewards, the first ones' rewards, and how many more were valued."""
-    tuning = engine.tuning.infogain2
+    tuning = engine.tuning.infogain
     belief = IntensityBelief(engine)
     reward = Counting(engine, tuning, belief.model, belief.ground_value(), 0.5, HORIZON_S, [])
     search = Search(engine, tuning, np.random.default_rng(3))
@@ -63,8 +63,8 @@ def test_no_budget_leaves_the_first_choice() -> None:
     engine = settings(pairs=1, sensing="levels")
     options, rewards, first, valued = searched(engine, 0)
     assert valued == 0 and (rewards == first).all() and len(options.ways) == len(first)
-    with pytest.raises(ValueError, match=r"tuning.infogain2.budget: expected a number from 0 to .*, got -1"):
-        engine.tuning.with_tables({"infogain2": {"budget": -1}})
+    with pytest.raises(ValueError, match=r"tuning.infogain.budget: expected a number from 0 to .*, got -1"):
+        engine.tuning.with_tables({"infogain": {"budget": -1}})
 
 
 def test_moved_paths_keep_to_fence_and_battery() -> None:
@@ -80,8 +80,8 @@ def test_moved_paths_keep_to_fence_and_battery() -> None:
 
 def test_plans_with_local_search_repeat_themselves() -> None:
     engine = settings(pairs=1, sensing="levels")
-    engine = replace(engine, tuning=engine.tuning.with_tables({"infogain2": {"budget": 40}}))
+    engine = replace(engine, tuning=engine.tuning.with_tables({"infogain": {"budget": 40}}))
     at = Situation(0, PLACE, (TEAM,), {})
-    plans = [InfoGain2Planner(engine).plan(at, IntensityBelief(engine)) for _ in range(2)]
-    without = replace(engine, tuning=engine.tuning.with_tables({"infogain2": {"budget": 0}}))
-    assert plans[0] == plans[1] != InfoGain2Planner(without).plan(at, IntensityBelief(without))
+    plans = [InfoGainPlanner(engine).plan(at, IntensityBelief(engine)) for _ in range(2)]
+    without = replace(engine, tuning=engine.tuning.with_tables({"infogain": {"budget": 0}}))
+    assert plans[0] == plans[1] != InfoGainPlanner(without).plan(at, IntensityBelief(without))

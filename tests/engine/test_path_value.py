@@ -9,7 +9,7 @@ from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.planning import path_loops
 from fieldkit.engine.planning.base import Situation
-from fieldkit.engine.planning.infogain2 import SampledReward
+from fieldkit.engine.planning.infogain1 import ExpectedReward
 from fieldkit.engine.planning.reward import Reward
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening
@@ -36,11 +36,11 @@ def standing(*places: tuple[float, float]) -> FloatArray:
 
 
 def reward(
-    *unresolved: Unresolved, engine: EngineSettings | None = None, kind: type[Reward] = SampledReward
+    *unresolved: Unresolved, engine: EngineSettings | None = None, kind: type[Reward] = Reward
 ) -> Reward:
     """Nothing on the ground, these candidates."""
     engine = engine or settings(sensing="levels")
-    tuning = engine.tuning.infogain2 if kind is SampledReward else engine.tuning.infogain
+    tuning = engine.tuning.infogain1 if kind is ExpectedReward else engine.tuning.infogain
     model = IntensityBelief(engine).model
     return kind(engine, tuning, model, np.zeros((50, 50)), 0.5, HORIZON_S, list(unresolved))
 
@@ -101,7 +101,7 @@ def test_a_place_nearly_certain_keeps_a_team_until_one_more_packet_is_heard() ->
     candidate = may_be([(10.0, 10.0)], sd_m=0.15, p_here=0.93)
     near, far = standing((10.0, 10.6)), standing((18.0, 10.6))
     value = reward(candidate).of(np.concatenate([near, far]), EARS)
-    before = reward(candidate, kind=Reward).of(np.concatenate([near, far]), EARS)
+    before = reward(candidate, kind=ExpectedReward).of(np.concatenate([near, far]), EARS)
     assert value[0] > 2.0 and value[1] < 0.001
     assert before[0] < 0.5, "a stretch of ground not searched yet was worth as much"
 
@@ -154,10 +154,10 @@ BEFORE = {
 """Robot to its plan before search and reward were parted: purpose, legs, and where they lead first and last."""
 
 
-def test_the_default_planner_decides_as_it_did() -> None:
+def test_the_planner_of_before_decides_as_it_did() -> None:
     engine = settings(sensing="levels")
     place = {r: (6.0 + 5.0 * (k // 2), 8.0 + 1.2 * (k % 2)) for k, r in enumerate(engine.robots)}
-    planner = plugins.load("fieldkit.planners", "infogain")(engine)
+    planner = plugins.load("fieldkit.planners", "infogain1")(engine)
     plan = planner.plan(Situation(0, place, engine.teams, {}), as_heard(engine))
     for robot, (purpose, legs, first, last) in BEFORE.items():
         path = plan.paths[robot]

@@ -81,7 +81,7 @@ SYSTEMS = [
 
 
 def test_no_planner_and_no_belief_is_left_out() -> None:
-    of_today = {"infogain", "infogain2"}
+    of_today = {"infogain", "infogain1"}
     assert {s.engine["planner"] for s in SYSTEMS} == set(plugins.names("fieldkit.planners")) - of_today
     assert {s.engine["belief"] for s in SYSTEMS} == set(plugins.names("fieldkit.beliefs")) - {"intensity"}
 

@@ -1,7 +1,8 @@
 """The default planner: each team takes, of many paths, the one from which the belief will learn most.
 
-`search` proposes the paths, `reward` values them. Teams are planned one after another on what the others leave; no path
-comes nearer to another team than the separation, or leads further than a robot's battery brings it home from.
+`search` proposes the paths and betters them where it is given a budget, `reward` values them. Teams are planned one
+after another on what the others leave; no path comes nearer to another team than the separation, or leads further than
+a robot's battery brings it home from.
 """
 
 from typing import ClassVar
@@ -40,11 +41,6 @@ class InfoGainPlanner(Planner):
         """The planner's own table of the tuning."""
         return settings.tuning.infogain
 
-    @staticmethod
-    def _budget(settings: EngineSettings) -> int:
-        """Further paths that local search may value for one team."""
-        return 0
-
     def plan(self, situation: Situation, belief: Belief) -> Plan:
         """Paths for all teams of the situation. Raises `ConfigError` for a belief that is not informative."""
         informed = informative(belief, self.NAME)
@@ -63,7 +59,7 @@ class InfoGainPlanner(Planner):
             ears = hearing_of(self.settings, team, situation.up_m)
             rewards = reward.of(options.tracks_m, ears)
             options, rewards = self._search.improved(
-                departure, reward, ears, options, rewards, self._budget(self.settings)
+                departure, reward, ears, options, rewards, self._tuning.budget
             )
             best = int(np.argmax(rewards)) if rewards.size else -1
             if (

@@ -2,8 +2,11 @@
 
 The reward is the expected number of sources the path would newly hear on unsearched ground, plus the progress it would
 make on candidates not yet resolved: receptions still missing, and the shrinking of their posterior by Fisher
-information, both as expected over samples of where and how strong each candidate may be. A find counts by the
-probability that it lies a cell off, and by the doubt whether it is still there.
+information. A find counts by the probability that it lies a cell off, and by the doubt whether it is still there.
+
+Progress is taken at each sample of where and how strong a candidate may be, and then averaged: a path that learns all
+if the source is here and nothing if it is there makes half the progress, however much it learns here. Power counts as
+unknown. Of packets that one team hears anyway, another team learns little that is still needed.
 """
 
 import math
@@ -112,13 +115,13 @@ class Reward:
     # -- candidates --------------------------------------------------------------------------------------
 
     def _nothing(self, candidate: Unresolved) -> FloatArray:
-        """(4,): exposure and information per unit rate of no track."""
-        return np.zeros(4)
+        """(k, 7): as `path_loops.all_learnt` of no track."""
+        return np.zeros((len(candidate.points_m), 7))
 
     def _information_of(self, candidate: Unresolved, tracks_m: FloatArray, ears: FloatArray) -> FloatArray:
-        """(n, 4) exposure and information per unit rate that tracks (n, steps, m, 2) give of a candidate."""
-        information = np.empty((len(tracks_m), 4))
-        path_loops.all_information(
+        """(n, k, 7) as `path_loops.all_learnt` of tracks (n, steps, m, 2)."""
+        information = np.empty((len(tracks_m), len(candidate.points_m), 7))
+        path_loops.all_learnt(
             tracks_m,
             self._tuning.step_s,
             candidate.points_m,
@@ -132,45 +135,61 @@ class Reward:
         return information
 
     def _with(self, before: FloatArray, information: FloatArray) -> FloatArray:
-        return before + information
+        """(n, k, 7): what is learnt (k, 7) and a further track's (n, k, 7) come to.
+
+        Of packets that a team hears anyway, another team would learn little that is still needed.
+        """
+        free = 1.0 - np.minimum(before[:, :1] / self._horizon_s, 1.0)
+        return np.asarray(before + free * information)
 
     def _is_heard(self, information: FloatArray) -> NDArray[np.bool_]:
-        return np.asarray(information[:, 0] > 1e-3)
+        """(n,) whether tracks are near enough to a candidate to learn anything."""
+        return np.asarray(information[..., 0].mean(axis=1) > 1e-3)
+
+    def _precision(self, candidate: Unresolved, information: FloatArray) -> tuple[FloatArray, ...]:
+        """(n, k) each, ee, en, nn: the inverse covariance of a candidate's place (1/m^2) after (n, k, 7).
+
+        Power is not known: what readings say of it is no word on the place (Schur complement).
+        """
+        antenna = self._settings.antenna
+        per_db = 10.0 * antenna.path_loss_exponent / math.log(10.0)
+        variance = antenna.sigma_db**2
+        ee, en, nn, e, n, count = (candidate.rate_hz / variance * information[..., k] for k in range(1, 7))
+        powers_db2 = float(np.var(self._settings.power_levels_db))
+        shared = powers_db2 / (1.0 + powers_db2 * count)
+        floor = (0.1 * self._near_m()) ** 2
+        cov = candidate.cov_m2 + floor * np.eye(2)
+        before = np.linalg.inv(cov)
+        return (
+            before[0, 0] + per_db**2 * (ee - shared * e * e),
+            before[0, 1] + per_db**2 * (en - shared * e * n),
+            before[1, 1] + per_db**2 * (nn - shared * n * n),
+        )
+
+    def _near_m(self) -> float:
+        return self._settings.find_radius_m or self._settings.grid.cell_m
 
     def _progress(self, candidate: Unresolved, information: FloatArray) -> FloatArray:
-        """(n,) reward for what is known of a candidate given this (n, 4) exposure and information."""
-        rate = candidate.rate_hz
-        antenna = self._settings.antenna
-        cell_m = self._settings.find_radius_m or self._settings.grid.cell_m
-        scale = (10.0 * antenna.path_loss_exponent / (antenna.sigma_db * math.log(10.0))) ** 2 * rate
-        floor = (0.1 * cell_m) ** 2
-        ee, en, nn = candidate.cov_m2[0, 0] + floor, candidate.cov_m2[0, 1], candidate.cov_m2[1, 1] + floor
-        det = ee * nn - en * en
-        ee, en, nn = (
-            nn / det + scale * information[:, 1],
-            scale * information[:, 2] - en / det,
-            ee / det + scale * information[:, 3],
-        )
+        """(n,) reward for what is known of a candidate given this (n, k, 7)."""
+        tuning, find = self._tuning, candidate.state == "found" and not candidate.may_be_two
+        target = ((tuning.settled_cells if find else tuning.target_cells) * self._near_m()) ** 2
+        ee, en, nn = self._precision(candidate, information)
         # Receptions still needed grow with the precision still missing: so counted, a candidate that is nearly
         # resolved is finished before the team drives to the next. Eigenvalues of the precision, closed form.
-        only_place = candidate.state == "found" and not candidate.may_be_two
-        target = ((self._tuning.settled_cells if only_place else self._tuning.target_cells) * cell_m) ** 2
         middle, half = (ee + nn) / 2.0, np.hypot((ee - nn) / 2.0, en)
         done = (np.minimum((middle - half) * target, 1.0) + np.minimum((middle + half) * target, 1.0)) / 2.0
-        missing = max(1.0, self._settings.min_receptions - candidate.receptions)
-        received = 1.0 - np.exp(-rate * information[:, 0] / missing)
-        if only_place:
-            weight = self._tuning.settle_value * (1.0 - candidate.p_here)
-        else:
-            weight = self._tuning.inconsistent_value if candidate.state == "inconsistent" else 1.0
+        receptions = candidate.rate_hz * information[..., 0]
         # A packet settles whether a find is still there; most is learnt where that is as probable as not.
-        checked = (
-            4.0 * candidate.p_gone * (1.0 - candidate.p_gone) * (1.0 - np.exp(-rate * information[:, 0]))
-        )
-        return np.asarray(
-            weight * (self._tuning.resolve_value * done + self._tuning.reception_value * received)
-            + self._check_value * checked
-        )
+        doubt = 4.0 * candidate.p_gone * (1.0 - candidate.p_gone)
+        value = self._check_value * doubt * (1.0 - np.exp(-receptions))
+        if find:
+            value = value + tuning.settle_value * (1.0 - candidate.p_here) * done
+        else:
+            missing = max(1.0, self._settings.min_receptions - candidate.receptions)
+            weight = tuning.inconsistent_value if candidate.state == "inconsistent" else 1.0
+            received = tuning.reception_value * (1.0 - np.exp(-receptions / missing))
+            value = value + weight * (tuning.resolve_value * done + received)
+        return np.asarray(value.mean(axis=1))
 
 
 def hearing_of(settings: EngineSettings, robots: Sequence[str], up_m: Mapping[str, float]) -> FloatArray:

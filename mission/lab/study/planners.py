@@ -12,7 +12,7 @@ import numpy as np
 from mission.lab.study.pool import Progress, having, run_trials
 from mission.lab.study.trust import Job, Scenario, summarise, trial
 
-NOW, BEFORE = "infogain2", "infogain"
+NOW, BEFORE = "infogain", "infogain1"
 COUNTS = (4, 8, 2, 1)
 """Sources hidden."""
 SCENARIOS = tuple(
