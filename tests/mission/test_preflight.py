@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fieldkit.channel.antenna_file import AntennaFile
+from fieldkit.channel.antenna_file import AntennaFile, Receiver
 from fieldkit.channel.spread import ChannelSpread
 from fieldkit.checks import Check, worst
 from fieldkit.clock import ScaledClock
@@ -105,6 +105,17 @@ def test_an_old_or_doubtful_calibration_is_amber(tmp_path: Path) -> None:
     assert worst(judge_calibration(mission, now_ns + 100 * 86_400 * 10**9)) == "amber"
     inconsistent = replace(mission, antenna=replace(mission.antenna, verdict="accepted with warnings"))
     assert worst(judge_calibration(inconsistent, now_ns)) == "amber"
+
+
+def test_receivers_that_nobody_compared_are_named(tmp_path: Path) -> None:
+    spread = ChannelSpread(2.0, 2.6, 1.0)
+    some = {robot: Receiver(0.0) for robot in ("r1", "r3")}
+    mission = small_mission(tmp_path, antenna=AntennaFile(ANTENNA, spread=spread, receivers=some))
+    (said,) = [check for check in judge_calibration(mission, 0) if check.name == "receivers"]
+    assert said.level == "green" and said.found.startswith("r2, r4: not compared") and "2 dB" in said.found
+    compared = {robot: Receiver(0.0) for robot in ("r1", "r2", "r3", "r4")}
+    mission = small_mission(tmp_path / "all", antenna=AntennaFile(ANTENNA, spread=spread, receivers=compared))
+    assert not [check for check in judge_calibration(mission, 0) if check.name == "receivers"]
 
 
 def test_positions_too_coarse_for_what_is_asked_are_amber(tmp_path: Path) -> None:
