@@ -75,7 +75,7 @@ def test_what_a_lost_robot_observed_is_taken_from_the_others(runs: Path) -> None
     shutil.rmtree(runs / "r2-1")
     done = collect(runs / "collected.mcap", [runs])
     lost = both_known.observations - done.observations
-    assert 0 <= lost <= 2 and not done.robots["r2"]["own_journal"], "what r2 had no time to say"
+    assert 0 <= lost <= 5 and not done.robots["r2"]["own_journal"], "what r2 said in its last second"
     assert any(note.startswith("r2: its own journal is not here; others knew") for note in done.notes)
     assert done.belief_hash == both_known.belief_hash
     said = [note.text for _, note in open_recording(runs / "collected.mcap").notes()]
