@@ -23,6 +23,8 @@ UNKNOWN_POWER_DB = 10.0
 """Standard deviation of a source's power where no transmitters were compared."""
 KNOWN_POWER_DB = 0.1
 """The same of sources whose power levels are known."""
+ASSUMED_LOBE = 0.5
+"""Deviation of each coordinate of a transmitter's lobe, in that of all that does not average out at one place."""
 UNMEASURED_RECEIVER_DB = 2.0
 """Standard deviation of a receiver's offset that nobody measured: what radios of one kind differ by."""
 HYPER = (
@@ -100,12 +102,14 @@ def assumed(antenna: Antenna, data: dict[str, Any] | None = None) -> ChannelSpre
     time_db = float(data.get("sigma_time_db") or half)
     place_db = float(data.get("sigma_place_db") or np.sqrt(max(antenna.sigma_db**2 - time_db**2, 0.25)))
     correlation_m = float(np.clip(antenna.nominal_range_m() / 20.0, 1.0, 20.0))
+    lobe_db = ASSUMED_LOBE * place_db
     return ChannelSpread(
         max(time_db, 0.3),
-        place_db,
+        float(np.sqrt(place_db**2 - lobe_db**2)),
         correlation_m,
-        assumed=f"the antenna file gives no place noise: {time_db:.1f} dB in time and {place_db:.1f} dB from place "
-        f"to place over {correlation_m:.0f} m are assumed{_POWER_ASSUMED}",
+        lobe_db=lobe_db,
+        assumed=f"the antenna file gives no place noise: {time_db:.1f} dB in time, {place_db:.1f} dB from place "
+        f"to place over {correlation_m:.0f} m and by direction are assumed{_POWER_ASSUMED}",
     )
 
 

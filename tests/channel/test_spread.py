@@ -31,7 +31,8 @@ def test_an_old_file_says_what_it_lacks():
     assert file.spread is None
     told = spread_of(file)
     assert "no place noise" in told.assumed
-    assert np.hypot(told.sigma_time_db, told.sigma_place_db) == pytest.approx(5.0)
+    parts = np.array([told.sigma_time_db, told.sigma_place_db, told.lobe_db])
+    assert np.sqrt((parts**2).sum()) == pytest.approx(5.0)
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def test_two_vertical_dipoles_hear_nothing_of_each_other_overhead_but_for_the_fl
 
 
 @pytest.mark.parametrize("pattern", [(), LOBE])
-@pytest.mark.parametrize("spread", [None, ChannelSpread(2.0, 2.2, 3.0)])
+@pytest.mark.parametrize("spread", [None, ChannelSpread(2.0, 2.2, 3.0, lobe_db=0.0)])
 def test_the_compiled_likelihood_agrees_with_its_plain_form(pattern, spread) -> None:
     """A silent, a heard and a heard robot at their heights: alone, the plain attenuation is all that is new."""
     radio = replace(RADIO, pattern_db=pattern)

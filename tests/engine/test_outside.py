@@ -20,7 +20,7 @@ FIELD = EngineSettings(
     RADIO,
     (("a", "b"),),
     (0.0,),
-    spread=replace(known_power(assumed(RADIO)), receiver_db=0.0),
+    spread=replace(known_power(assumed(RADIO)), receiver_db=0.0, lobe_db=0.0),
     found_within_m=1.0,
 )
 S = 1_000_000_000

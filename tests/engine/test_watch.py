@@ -72,7 +72,7 @@ def test_a_place_is_not_taken_for_the_receivers_that_stand_there(seed: int) -> N
 
 def test_the_means_variance_is_that_of_readings_drawn_from_the_model() -> None:
     """Against plain simulation: a receiver that met two sources from three places, two of them near each other."""
-    spread = replace(assumed(RADIO), sigma_time_db=2.0, sigma_place_db=4.0, correlation_m=3.0)
+    spread = replace(assumed(RADIO), sigma_time_db=2.0, sigma_place_db=4.0, lobe_db=0.0, correlation_m=3.0)
     rng = np.random.default_rng(4)
     at = np.array([[0.0, 0.0], [1.0, 1.0], [9.0, 0.0]])[[0, 0, 0, 1, 1, 2, 2, 2, 0, 1]]
     source = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1])

@@ -135,7 +135,10 @@ def test_place_noise_is_assumed_where_the_antenna_file_tells_none_and_preflight_
     spread = mission.kernel.engine.spread
     assert spread is not None and spread.sigma_place_db > 1.0 and spread.transmitter_db < 1.0
     (said,) = [check for check in judge_calibration(mission, 0) if check.name == "place noise"]
-    assert said.level == "amber" and "2.3 dB from place to place over 1 m are assumed" in said.found
+    assert (
+        said.level == "amber"
+        and "2.3 dB from place to place over 1 m and by direction are assumed" in said.found
+    )
     change(folder, "power_levels_db = ", "# power_levels_db = ")
     unknown = read_mission(folder / "mission.toml").kernel.engine.spread
     assert (

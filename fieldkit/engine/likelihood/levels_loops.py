@@ -159,6 +159,7 @@ def conditional_loglik(
     cov: FloatArray,
     place_var: float,
     time_var: float,
+    lobe_var: float,
     deepest: float,
     levels: FloatArray,
     law: Law,
@@ -175,13 +176,15 @@ def conditional_loglik(
     """out (h, n): as `levels_loglik`, each robot's mean moved by what the same source's earlier readings were off.
 
     `near` (m * k, columns of an ear), `near_rss` (m, k) and `near_count` (m,) are those readings, `cross` (m, k) and
-    `cov` (m, k, k) as `choose_neighbours` has them. A reading made so near the point that an unsure place alone moves
-    it by decibels says less of the shadow, and no shadow is believed that is deeper than `deepest` of its deviations:
-    those who heard another source are no reason to expect one.
+    `cov` (m, k, k) as `choose_neighbours` has them; `lobe_var` (dB^2) is that of each coordinate of the transmitter's
+    lobe, which readings in one direction from it have in common. A reading made so near the point that an unsure place
+    alone moves it by decibels says less of the shadow, and no shadow is believed that is deeper than `deepest` of its
+    deviations: those who heard another source are no reason to expect one.
     """
     n, m, n_levels, most = points.shape[0], ears.shape[0], levels.shape[0], cross.shape[1]
     noise, off_dbm, weights, part = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
-    work = np.empty((most, most))
+    work, alike, toward = np.empty((most, most)), np.empty((most, most)), np.empty((most, 2))
+    alike_here = np.empty(most)
     silent_top = log_silent.shape[0] - 1.000001
     heard_top = log_heard.shape[0] - 1.000001
     for i in range(n):
@@ -206,9 +209,23 @@ def conditional_loglik(
                 )
                 its2 = near[row, SIGMA] * near[row, SIGMA]
                 noise[j] = time_var + 1.0 / 12.0 + steep * steep * its2 / (away2 + its2)
-            alike = place_var + ears[q, OFFSET]
-            furthest = deepest * math.sqrt(alike)
-            left = alike + time_var - weigh(near_count[q], cov[q], cross[q], noise, work, part, weights)
+                # Where the place is unsure beside the distance, so is the direction.
+                scale = 1.0 / math.sqrt(away2 + its2)
+                toward[j, 0], toward[j, 1] = (
+                    (near[row, EAST] - east) * scale,
+                    (near[row, NORTH] - north) * scale,
+                )
+            scale = 1.0 / math.sqrt(d2 + ears[q, SIGMA] * ears[q, SIGMA])
+            de, dn = (ears[q, EAST] - east) * scale, (ears[q, NORTH] - north) * scale
+            for j in range(near_count[q]):
+                alike_here[j] = cross[q, j] + lobe_var * (toward[j, 0] * de + toward[j, 1] * dn)
+                for k in range(j + 1):
+                    alike[j, k] = cov[q, j, k] + lobe_var * (
+                        toward[j, 0] * toward[k, 0] + toward[j, 1] * toward[k, 1]
+                    )
+            own_var = place_var + ears[q, OFFSET] + lobe_var * (de * de + dn * dn)
+            furthest = deepest * math.sqrt(own_var)
+            left = own_var + time_var - weigh(near_count[q], alike, alike_here, noise, work, part, weights)
             moved = 0.0
             taken = 0.0
             for j in range(near_count[q]):

@@ -1,4 +1,4 @@
-"""What one candidate's readings, and the team's silence, have in common: the places, and whose receiver it was.
+"""What one candidate's readings, and the team's silence, have in common: places, receivers, the transmitter's lobe.
 
 A reading is conditioned on the candidate's own earlier readings nearby (`correlated` says how and why); what is heard
 of it at the fiftieth time in one place says little new. A place that has been silent for long is one witness: the
@@ -6,7 +6,7 @@ longer, the less a further second counts there. Without place noise both are wha
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -97,6 +97,12 @@ class Neighbours:
     cross_db2: FloatArray
     cov_db2: FloatArray
 
+    def of_one_lobe(self, lobe_var: float, own: FloatArray, theirs: FloatArray) -> "Neighbours":
+        """With what a transmitter's lobe adds: directions from it `own` (m, 2) to the ears, `theirs` (m, k, 2)."""
+        cross = self.cross_db2 + lobe_var * (theirs * own[:, None]).sum(axis=-1)
+        cov = self.cov_db2 + lobe_var * (theirs[:, :, None] * theirs[:, None]).sum(axis=-1)
+        return replace(self, cross_db2=cross, cov_db2=cov)
+
     def weighed(self, noise_db2: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(m, k) what each counts for, with so much variance (m, k) of its own, and (m,) dB^2 that they explain."""
         weights, explained = np.zeros_like(self.cross_db2), np.zeros(len(self.count))
@@ -120,6 +126,7 @@ class PlaceNoise:
         own_var = spread.sigma_place_db**2 if spread.correlation_m <= 0.0 else 0.0
         self.place_var = spread.sigma_place_db**2 - own_var
         self.time_var = spread.sigma_time_db**2 + own_var
+        self.lobe_var = spread.lobe_db**2
         self.length_m = max(spread.correlation_m, 1e-6)
         self._spent_s: dict[tuple[int, int], float] = {}
         self._hear = _hear_after_silence(
@@ -170,6 +177,7 @@ class PlaceNoise:
             near.cov_db2,
             self.place_var,
             self.time_var,
+            self.lobe_var,
             DEEPEST,
             self.model.level_dbm,
             self.model.ears.law,
@@ -200,6 +208,11 @@ class PlaceNoise:
             slope = law.slope_db(0.5 * np.log10(d2), self.model.ears.law)
             return np.asarray(slope**2 * ears[..., SIGMA] ** 2 / (d2 + ears[..., SIGMA] ** 2))
 
+        def toward(ears: FloatArray) -> FloatArray:
+            way = ears[..., : NORTH + 1] - point_m
+            d2 = np.maximum((way**2).sum(axis=-1) + ears[..., UP] ** 2, MIN_RANGE_M**2)
+            return np.asarray(way / np.sqrt(d2 + ears[..., SIGMA] ** 2)[..., None])
+
         def fainter_db(ears: FloatArray) -> FloatArray:
             rows = ears.reshape(-1, COLUMNS)
             loss: FloatArray = self.model.ears.attenuation_db(point_m[None], rows)[0].reshape(ears.shape[:-1])
@@ -207,10 +220,11 @@ class PlaceNoise:
 
         for detection in detections:
             ears = self.model.ears.of_detection(detection)
-            near = self._neighbours(detection, ears, earlier)
+            alone = self._neighbours(detection, ears, earlier)
+            near = alone.of_one_lobe(self.lobe_var, toward(ears), toward(alone.ears))
             weights, explained = near.weighed(self.time_var + 1.0 / 12.0 + unsure_db2(near.ears))
             off = weights * (near.rss_dbm - level_dbm + fainter_db(near.ears))
-            alike = self.place_var + ears[:, OFFSET]
+            alike = self.place_var + ears[:, OFFSET] + self.lobe_var * (toward(ears) ** 2).sum(axis=-1)
             furthest = DEEPEST * np.sqrt(alike)
             expected = np.clip(off.sum(axis=1), -furthest, furthest)
             use = detection.heard & ~detection.saturated

@@ -201,8 +201,8 @@ NOT_MEASURED = Mean(0.0, np.inf, 0.0, 0)
 def mean_of(measured: Sequence[Measured], spread: ChannelSpread) -> Mean:
     """The mean of what was measured at these places, of these sources.
 
-    Of the same source, what the place adds is alike with correlation exp(-distance / correlation_m), and an error of
-    the source's position or power likewise; noise in time is of each alone.
+    Of the same source, what the place and its lobe add is alike with correlation exp(-distance / correlation_m), and an
+    error of its position or power likewise; noise in time is of each alone.
     """
     if not measured:
         return NOT_MEASURED
@@ -211,7 +211,8 @@ def mean_of(measured: Sequence[Measured], spread: ChannelSpread) -> Mean:
     ).T
     apart_m = np.hypot(east[:, None] - east, north[:, None] - north)
     alike = np.exp(-apart_m / max(spread.correlation_m, 1e-6)) * (source[:, None] == source)
-    shared = (alike * (spread.sigma_place_db**2 + np.outer(sd, sd))).mean()
+    place_db2 = spread.sigma_place_db**2 + spread.lobe_db**2
+    shared = (alike * (place_db2 + np.outer(sd, sd))).mean()
     variance = float(shared + spread.sigma_time_db**2 / len(measured))
     return Mean(float(residual_db.mean()), variance, float(1.0 / alike.mean()), len(measured))
 
