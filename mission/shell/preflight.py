@@ -196,8 +196,9 @@ def judge_calibration(mission: Mission, now_ns: int) -> list[Check]:
     known = {robot for robot, radio in engine.receivers.items() if radio.offset_measured}
     apart = [robot for robot in engine.robots if robot not in known]
     if spread is not None and spread.receiver_db > 0.0 and apart:
-        found = f"{', '.join(apart)}: not compared; finds allow for {spread.receiver_db:g} dB that each may be off"
-        checks.append(Check(MISSION, "receivers", "green", found))
+        found = f"not compared: {', '.join(apart)}. Each may be off by {spread.receiver_db:g} dB; finds allow for it"
+        remedy = "for sharper finds: fieldkit calibrate fit --receiver-offsets, or a robot's rss_offset_db"
+        checks.append(Check(MISSION, "receivers", "amber", found, remedy))
     asked_m = engine.find_radius_m or engine.grid.cell_m
     if engine.pose_sigma_m > COARSE * asked_m:
         found = f"known to {engine.pose_sigma_m:g} m, and a find is asked for within {asked_m:.2g} m"
