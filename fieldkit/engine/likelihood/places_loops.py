@@ -104,22 +104,26 @@ def weigh(
     `cov` (k, k; lower half) and `cross` (k,) are of their shadows, `noise` (k,) is the variance of what else each has;
     `work` (k, k) and `part` (k,) are overwritten.
     """
-    for a in range(count):
-        value = cross[a]
-        for b in range(a + 1):
-            entry = cov[a, b] + noise[a] if a == b else cov[a, b]
-            for k in range(b):
-                entry -= work[a, k] * work[b, k]
-            work[a, b] = math.sqrt(entry) if a == b else entry / work[b, b]
-        for k in range(a):
-            value -= work[a, k] * part[k]
-        part[a] = value / work[a, a]
+    # Cholesky's factor, with the inverses of its diagonal in their place: a division costs as much as ten products.
     explained = 0.0
     for a in range(count):
-        explained += part[a] * part[a]
+        value = cross[a]
+        own = cov[a, a] + noise[a]
+        for b in range(a):
+            entry = cov[a, b]
+            for k in range(b):
+                entry -= work[a, k] * work[b, k]
+            entry *= work[b, b]
+            work[a, b] = entry
+            own -= entry * entry
+            value -= entry * part[b]
+        inverse = 1.0 / math.sqrt(own)
+        value *= inverse
+        work[a, a], part[a] = inverse, value
+        explained += value * value
     for a in range(count - 1, -1, -1):
         value = part[a]
         for k in range(a + 1, count):
             value -= work[k, a] * weights[k]
-        weights[a] = value / work[a, a]
+        weights[a] = value * work[a, a]
     return explained
