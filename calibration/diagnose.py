@@ -157,6 +157,21 @@ def mixed_units(result: FitResult) -> str:
     return said
 
 
+def between_receivers(result: FitResult) -> Structure | None:
+    """Levels differ from receiver to receiver. None with one receiver, or where their offsets are in the fit."""
+    r = result.readings
+    if r.receiver is None or len(r.receivers) < 2 or result.receiver_offsets_db:
+        return None
+    columns = np.column_stack([(r.receiver == k).astype(float) for k in range(1, len(r.receivers))])
+    fitted = _with_columns(result, columns)
+    if fitted is None:
+        return None
+    theta, covariance = fitted
+    own = slice(-1 - columns.shape[1], -1)
+    offsets = np.concatenate([[0.0], theta[own]])
+    return Structure(float(np.ptp(offsets)), _p_value(theta[own], covariance[own, own]))
+
+
 def near_field(result: FitResult) -> tuple[float, float] | None:
     """The exponent without places under 0.5 m, and its clustered error; None where too little is left."""
     from calibration.fit import Options, fit

@@ -25,6 +25,7 @@ SWING_REFUSE_SIGMA = 1.25
 SEVERAL_TRANSMITTERS, SWING_REFUSE_SPREAD = 3, 3.0
 """With so many transmitters a bend may be so many deviations of their shadowing and lobes before it refuses."""
 HEADING_WARN_DB, HEADING_REFUSE_DB = 2.0, 6.0
+RECEIVERS_WARN_DB = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +167,12 @@ def _structure(result: FitResult, refusals: list[str], warnings: list[str]) -> N
             "missing; fit one (--pattern auto)"
         )
         (refusals if heading.swing_db > HEADING_REFUSE_DB else warnings).append(text)
+    apart = diagnose.between_receivers(result)
+    if apart is not None and apart.p_value < SURE and apart.swing_db > RECEIVERS_WARN_DB:
+        warnings.append(
+            f"receivers differ by {apart.swing_db:.1f} dB, which sigma takes for noise; fit each one's offset "
+            "(--receiver-offsets)"
+        )
     bend = diagnose.against_distance(result)
     if bend is not None and bend.p_value < SURE and bend.swing_db > SWING_WARN_DB:
         text = (

@@ -1,5 +1,6 @@
 """The fit finds the truth on simulated data, and the published numbers on real readings."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,13 @@ def test_receivers_that_differ_are_told_apart():
     offsets = fit(data, Options(receiver_offsets=True)).receiver_offsets_db
     assert offsets["b"][0] == pytest.approx(4.0, abs=0.3)
     assert offsets["c"][0] == pytest.approx(-3.0, abs=0.3)
+    (said,) = [text for text in judge(fit(data)).warnings if text.startswith("receivers differ")]
+    assert float(said.split()[3]) == pytest.approx(7.0, abs=0.5) and "--receiver-offsets" in said
+    assert not any(
+        "receivers differ" in text for text in judge(fit(data, Options(receiver_offsets=True))).warnings
+    )
+    alike = replace(data, rss_dbm=readings.rss_dbm)
+    assert not any("receivers differ" in text for text in judge(fit(alike)).warnings)
 
 
 def test_a_million_readings_shrink_to_their_distinct_ones():
