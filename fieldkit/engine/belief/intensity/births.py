@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fieldkit.engine.belief.intensity.candidate import Candidate
+from fieldkit.engine.belief.intensity.shadowed import trust
 
 if TYPE_CHECKING:
     from fieldkit.engine.belief.intensity.mixture import Mixture, OpenDetection
@@ -27,7 +28,7 @@ class Born:
 
 def birth(mixture: "Mixture") -> bool:
     """A candidate where one more source explains what was heard better than none; whether there was one."""
-    expected = mixture.another_source()
+    expected = mixture.another_source(weighed=False)
     prior = mixture.settings.expected_sources * mixture.ground.sources_a_cell / mixture.model.n_known
     place = np.where(expected > prior, expected, 0.0).sum(axis=0)
     for tried in mixture.stillborn:
@@ -66,6 +67,8 @@ def birth(mixture: "Mixture") -> bool:
             candidate.set_responsibility(number, float(ratio / (1.0 + ratio)))
     if candidate.receptions < mixture.tuning.death_receptions:
         return False
+    trust(mixture, candidate, mixture.claimed_by(candidate))
+    candidate.expose(candidate.exposure_s)
     for number, responsibility in candidate.responsibility.items():
         for other in mixture.candidates:
             if responsibility > 0.0 and number in other.responsibility:

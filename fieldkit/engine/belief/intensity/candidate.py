@@ -128,11 +128,7 @@ class Candidate:
     def expose(self, exposure_s: FloatArray) -> None:
         """Bring the exposure (h, n) up to date."""
         self.exposure_s = exposure_s
-        self.log_exposure = np.log(self.rate_prior_s + exposure_s)
-        if self.rate_trust < 1.0:
-            # Packets of one place are no independent witnesses of how far others would be heard.
-            middle = float(np.median(self.log_exposure))
-            self.log_exposure = middle + self.rate_trust * (self.log_exposure - middle)
+        self.log_exposure = self.rate_trust * np.log(self.rate_prior_s + exposure_s)
 
     def posterior(self) -> FloatArray:
         """(h, n), sums to 1."""
@@ -155,7 +151,17 @@ class Candidate:
             + gammaln(self.tuning.rate_shape + n)
             - gammaln(self.tuning.rate_shape)
         )
-        return log_sum(self.log_posterior()) + float(rate)
+        log = self.log_posterior()
+        total = log_sum(log)
+        if self.rate_trust < 1.0:
+            # Its posterior trusts exposures less; how much it sent is measured by all that it was listened to there.
+            weights = np.exp(log - total)
+            total -= (
+                (1.0 / self.rate_trust - 1.0)
+                * (self.tuning.rate_shape + n)
+                * float((weights * self.log_exposure).sum())
+            )
+        return total + float(rate)
 
     def know(self, number: int, log_likelihood: FloatArray) -> None:
         """Have a detection at hand that this source may have sent; its responsibility is 0 until claimed."""

@@ -18,6 +18,7 @@ from fieldkit.engine.belief.intensity.responsibilities import (
     entries_that_count,
     known_responsibilities,
 )
+from fieldkit.engine.belief.intensity.shadowed import trust
 from fieldkit.engine.belief.intensity.silence import note_heard
 from fieldkit.engine.likelihood.places import redundancy
 from fieldkit.messages import FloatArray
@@ -162,6 +163,8 @@ def _fresh(
     whole = np.vstack([centre - half, centre + half, candidate.points_m])
     row0, row1, column0, column1 = mixture.grid.box_around(whole, 0.0)
     fresh = new_candidate(mixture, (column0, column1), (row0, row1), spacing=1.0, most=most)
+    trust(mixture, fresh, responsibility)
+    fresh.expose(fresh.exposure_s)
     for number in responsibility:
         fresh.know(number, mixture.model.log_likelihood(mixture.open[number].detection, fresh.points_m))
     return fresh

@@ -1,10 +1,12 @@
 """When two candidates are one: where that explains better what both sent."""
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldkit.engine.belief.intensity.candidate import Candidate, merged_gain
+from fieldkit.engine.belief.intensity.shadowed import settle
 
 if TYPE_CHECKING:
     from fieldkit.engine.belief.intensity.mixture import Mixture
@@ -24,11 +26,11 @@ def merge(mixture: "Mixture") -> bool:
                 if not _may_be_one(mixture, first, second):
                     continue
                 keep, drop = (first, second) if first.receptions >= second.receptions else (second, first)
-                settle = mixture.condition_on_each_other if mixture.places is not None else None
-                gain = merged_gain(keep, drop, settle)
+                settled = partial(settle, mixture) if mixture.places is not None else None
+                gain = merged_gain(keep, drop, settled)
                 if gain == -np.inf:
                     keep, drop = drop, keep
-                    gain = merged_gain(keep, drop, settle)
+                    gain = merged_gain(keep, drop, settled)
                 if gain > 0.0:
                     for number, responsibility in drop.responsibility.items():
                         if number in keep.responsibility and responsibility > 0.0:

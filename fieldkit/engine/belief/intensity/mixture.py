@@ -20,6 +20,7 @@ from fieldkit.engine.belief.intensity.ground import ground_of
 from fieldkit.engine.belief.intensity.merging import merge
 from fieldkit.engine.belief.intensity.nuisance import learnt_clutter, shared_sigma_m
 from fieldkit.engine.belief.intensity.responsibilities import Attribution, attribute
+from fieldkit.engine.belief.intensity.shadowed import new_to_say, trust
 from fieldkit.engine.belief.intensity.silence import note_heard
 from fieldkit.engine.belief.intensity.unknown import log_unknown_of
 from fieldkit.engine.belief.intensity.watch import Watch, watch_receivers, without_insensitive
@@ -27,7 +28,7 @@ from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears import Ears
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
 from fieldkit.engine.likelihood.levels import LevelsModel
-from fieldkit.engine.likelihood.places import NOTHING_EARLIER, Earlier, PlaceNoise, levels_of, redundancy
+from fieldkit.engine.likelihood.places import NOTHING_EARLIER, Earlier, PlaceNoise, levels_of
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening
 
@@ -176,7 +177,7 @@ class Mixture:
             self.now_ns = max(self.now_ns, detection.t_ns)
             self._open(detection)
         for candidate in self.candidates:
-            candidate.rate_trust = self._rate_trust(candidate)
+            trust(self, candidate, self.claimed_by(candidate))
             candidate.expose(self.exposure_at(candidate.points_m))
         self.sweep(self.tuning.sweeps)
         for _ in range(1 + len(detections)):
@@ -255,13 +256,6 @@ class Mixture:
         """An identity no candidate has had."""
         self._next_ident += 1
         return self._next_ident - 1
-
-    def _rate_trust(self, candidate: Candidate) -> float:
-        """Mean weight of what it claims given its neighbours; 1 without place noise."""
-        if self.places is None or self.settings.spread is None:
-            return 1.0
-        own = [self.open[number].near_m for number in self.claimed_by(candidate)]
-        return float(redundancy(own, self.settings.spread).mean()) if own else 1.0
 
     def _condition(self) -> None:
         """Compute anew what is conditioned on detections no longer claimed, or lacks one that is claimed now."""
@@ -406,7 +400,7 @@ class Mixture:
                 candidate.wider = wider
                 self._summaries.pop(candidate.ident, None)
 
-    def another_source(self, rate_hz: float | None = None) -> FloatArray:
+    def another_source(self, rate_hz: float | None = None, *, weighed: bool = True) -> FloatArray:
         """(known levels, n_north, n_east) expected number of sources of this rate not among the candidates.
 
         Prior times likelihood ratio: silence lowers it, detections that the candidates explain badly raise it. So
@@ -421,7 +415,7 @@ class Mixture:
             self.open_arena.values,
             starts([s.like for s in stored]),
             np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
-            rate_hz * np.exp(scale),
+            rate_hz * np.exp(scale) * (new_to_say(self, numbers) if weighed else 1.0),
             self.known_exposure_s(),
             rate_hz,
             ratio,
