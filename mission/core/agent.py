@@ -146,6 +146,27 @@ class Agent:
             self._held_ns = max(self._held_ns, order.t_ns)
         return True
 
+    def remembered(self) -> list[Operator]:
+        """Orders in the logs that it goes on with after a restart, in their order; what is void is not among them.
+
+        It knows then what it had obeyed before: an old order that another brings lifts no hold, and holds nobody anew.
+        """
+        ordered = [
+            (entry.order_ns, key, number, entry.event)
+            for key, log in self.logs.entries.items()
+            for number, entry in enumerate(log)
+            if isinstance(entry.event, Operator)
+        ]
+        remembered = []
+        for _, (author, _), _, order in sorted(ordered, key=lambda each: each[:3]):
+            was_known = order in self._obeyed
+            stands = self._is_new(order)
+            # Its own log has what was obeyed; what is meant for others is theirs to weigh.
+            is_obeyed = author == self.me and not was_known
+            if stands or is_obeyed or order.robot not in (None, self.me):
+                remembered.append(order)
+        return remembered
+
     def step(self, event: Event) -> Outcome:
         """Take in what its own robot or its operator says, or let time pass; what follows for its own robot."""
         match event:

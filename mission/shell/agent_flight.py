@@ -18,7 +18,6 @@ from fieldkit.engine.decentralised.logs import Logs
 from fieldkit.engine.decentralised.sealing import Seal, session_key
 from fieldkit.engine.decentralised.talk import Talk
 from fieldkit.errors import ConfigError
-from fieldkit.messages import Operator
 from fieldkit.ports import Network
 from fieldkit.recording.made_with import software
 from mission.core.agent import Agent
@@ -166,10 +165,8 @@ def fly_agent(
 
 def _stand_by_orders(runner: AgentRunner) -> None:
     """What operators ordered before a restart stands: safety is told again, in order."""
-    logs = runner.crew.agent.logs
-    entries = [entry for log in logs.entries.values() for entry in log if isinstance(entry.event, Operator)]
-    for entry in sorted(entries, key=lambda entry: entry.order_ns):
-        runner.safety.observe(entry.event)
+    for order in runner.crew.agent.remembered():
+        runner.safety.observe(order)
 
 
 def interrupted(out: Path, card: Card) -> Path | None:
