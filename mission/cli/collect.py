@@ -38,14 +38,14 @@ def collect(
         print_json(asdict(done))
     else:
         typer.echo(
-            f"{done.mission}: {done.observations} observations of {len(done.robots)} robots from {len(done.journals)} "
-            f"journals, {done.given - done.observations} of them more than once; {done.orders} operator's orders"
+            f"{done.mission}: {done.observations} observations of {len(done.robots)} robots, among them "
+            f"{done.orders} operator's orders\nfrom {len(done.journals)} journals; what several know is taken in once"
         )
         for robot, known in done.robots.items():
             own = "" if known["own_journal"] else ", by others' journals alone"
             typer.echo(f"  {robot}: {known['observations']}{own}")
         if done.compared:
-            typer.echo(f"the belief is compared with what {done.compared} agents had last")
+            typer.echo(f"{done.agreeing} of {done.compared} ended with the belief that these observations give")
         for note in done.notes:
             typer.echo(f"note: {note}", err=True)
         for each in done.refused:

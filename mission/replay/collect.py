@@ -68,8 +68,11 @@ class Collected:
     given: int = 0
     """Observations in all journals; what is more than `observations` was known to several."""
     orders: int = 0
+    """Operators' orders; one that several robots wrote down is one."""
     compared: int = 0
-    """Agents whose last common belief was compared."""
+    """Journals whose last common belief was compared."""
+    agreeing: int = 0
+    """... and was, bit for bit, that of the merged observations."""
     belief_hash: str = ""
     end_reason: str = ""
 
@@ -102,7 +105,7 @@ def collect(out: Path, places: Sequence[Path], report: Progress = lambda share, 
         refused,
         sum(map(len, whole.entries.values())),
         sum(len(log) for flight in flights for log in flight.logs.entries.values()),
-        sum(isinstance(entry.event, Operator) for log in whole.entries.values() for entry in log),
+        len(operators_orders(whole)),
     )
     _write(mission, whole, flights, done, report)
     return done
@@ -222,6 +225,15 @@ def _end(whole: Logs) -> int:
     return max(_last_tick(whole, key) for key in whole.entries)
 
 
+def operators_orders(whole: Logs) -> set[Operator]:
+    """What operators ordered. An order of a computer without a log is in the log of every robot that obeyed it.
+
+    Where an agent withdraws its robot at its end, nobody ordered it.
+    """
+    events = (entry.event for log in whole.entries.values() for entry in log)
+    return {event for event in events if isinstance(event, Operator) and event.action != "withdraw"}
+
+
 def _known(whole: Logs, flights: Sequence[Flight], robots: Sequence[str]) -> dict[str, dict[str, Any]]:
     own = {flight.head.robot for flight in flights}
     known = {}
@@ -296,6 +308,7 @@ def _step_through(
             report((line.horizon - first) / max(1, end - first), "stepping through what was observed")
         for robot, digest in said.get(stop, ()):
             done.compared += 1
+            done.agreeing += line.kernel.digest() == digest
             if line.kernel.digest() != digest:
                 done.notes.append(
                     f"{robot}: its last common belief is not that of these observations: its recording or this "

@@ -17,7 +17,7 @@ from fieldkit.errors import DataError, RecordingError
 from fieldkit.messages import Operator, RssReading
 from fieldkit.recording.reader import open_recording
 from mission.analysis import refit as campaign
-from mission.replay.collect import collect, lay_together
+from mission.replay.collect import collect, lay_together, operators_orders
 from mission.replay.command import Changes
 from mission.replay.replay import replay
 from mission.shell import journal as journals
@@ -60,7 +60,7 @@ def journal(runs: Path, name: str) -> Path:
 def test_two_journals_make_the_recording_that_one_computer_would_have_made(runs: Path) -> None:
     out = runs / "collected.mcap"
     done = collect(out, [runs])
-    assert done.notes == [] and done.refused == [] and done.compared == 2
+    assert done.notes == [] and done.refused == [] and done.compared == done.agreeing == 2
     assert done.given > 1.9 * done.observations > 50 and done.orders == 2
     common = open_recording(runs / "r1-1" / "common.mcap")
     again = replay(out)
@@ -160,6 +160,8 @@ def test_the_command_says_what_it_did_and_reports_what_it_left_out(runs: Path) -
     runner, out = CliRunner(), runs / "collected.mcap"
     done = runner.invoke(build(), ["collect", str(out), str(runs)])
     assert done.exit_code == 0 and "2 operator's orders" in done.output and out.is_file()
+    assert "2 of 2 ended with the belief that these observations give" in done.output
+    assert all(len(line) <= 80 for line in done.output.splitlines() if not line.startswith("written"))
     other = runner.invoke(build(), ["collect", str(runs / "d"), str(runs), str(runs / "nowhere"), "--json"])
     assert other.exit_code == 2 and (runs / "d" / "mission.mcap").is_file()
     assert runner.invoke(build(), ["report", str(out), "-o", str(runs / "report.html")]).exit_code == 0
@@ -178,6 +180,16 @@ def heard(me: str, *levels_dbm: float) -> Logs:
     logs.close(10**18 + len(levels_dbm) * 10**9)
     logs.me = me
     return logs
+
+
+def test_an_order_in_the_logs_of_two_robots_is_one_order_and_a_withdrawal_is_none() -> None:
+    logs, now_ns = Logs("r1", ROBOTS), 10**18
+    for robot in ROBOTS:
+        logs.me = robot
+        logs.append(quantised(Operator(now_ns, "hold", None, "from a laptop")), now_ns + 10**9)
+        logs.append(quantised(Operator(now_ns + 10**9, "withdraw", robot, "Ctrl-C")), now_ns + 2 * 10**9)
+    orders = operators_orders(logs)
+    assert [(order.action, order.reason) for order in orders] == [("hold", "from a laptop")]
 
 
 def levels(logs: Logs) -> list[float]:
