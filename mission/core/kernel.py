@@ -80,6 +80,8 @@ class Kernel:
             flying=self.settings.altitude_m,
         )
         self._warned: set[str] = set()
+        self._order: Operator | None = None
+        """The last that was noted: of a laptop's order every robot's log has a copy."""
         self.fleet = Fleet(self.settings)
         self.tasks = Tasks(self.settings, self.fleet)
         self.turns = PlanningTurns(engine)
@@ -181,6 +183,9 @@ class Kernel:
             self.turns.start_anew()
         if event.action == "end":
             return self._end(event.t_ns, event.reason or "the operator ended the mission")
+        if event == self._order:
+            return NOTHING
+        self._order = event
         who = "safety" if event.action == "withdraw" else "operator"
         why = f": {event.reason}" if event.reason else ""
         return Outcome(notes=(f"{who}: {event.action} {event.robot or 'all'}{why}",))

@@ -156,7 +156,7 @@ def fly_agent(
             if setup.tap is not None:
                 setup.tap.listen(lambda robot, data: recorder.raw(setup.clock.now_ns(), robot, data))
             async with network:
-                with keyboard(runner, "agent"):
+                with keyboard(runner, "agent", f"{card.robot}'s terminal"):
                     await runner.run()
 
         asyncio.run(run())

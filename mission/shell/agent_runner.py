@@ -101,7 +101,7 @@ class AgentRunner(Runner):
         if isinstance(event, Operator) and event in self._foreign:
             self._foreign.remove(event)
             why = f": {event.reason}" if event.reason else ""
-            return Outcome(notes=(f"from another robot: {event.action} {event.robot or 'all'}{why}",))
+            return Outcome(notes=(f"from others: {event.action} {event.robot or 'all'}{why}",))
         outcome = self.crew.agent.step(event)
         self._apart.beside = self.crew.agent.beside
         self.kernel = self.records.kernel = self.crew.agent.line.kernel

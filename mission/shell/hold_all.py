@@ -25,7 +25,7 @@ async def hold_all(
     """
     talk = Talk(Logs(robots[0], robots), Seal(session_key(key, card.common), OPERATOR))
     others, why = Refused(), dict[str, str]()
-    order = quantised(Operator(clock.now_ns(), "hold", None, "HOLD ALL from the operator's computer"))
+    order = quantised(Operator(clock.now_ns(), "hold", None, "operator, by --hold"))
     assert isinstance(order, Operator)
     said = {}
     async with network:

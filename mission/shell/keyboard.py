@@ -105,10 +105,10 @@ class Typed:
 
 
 @contextlib.contextmanager
-def keyboard(runner: Commanded, ends: str = WHOLE) -> Iterator[None]:
+def keyboard(runner: Commanded, ends: str = WHOLE, where: str = "the terminal") -> Iterator[None]:
     """Lines typed at a terminal go to the mission while in here; without a terminal nothing is read.
 
-    `ends`: what "end" ends: the mission, this agent, this page.
+    `ends`: what "end" ends: the mission, this agent, this page. `where`: which terminal this is, for those elsewhere.
     """
     loop = asyncio.get_running_loop()
     if not (sys.stdin is not None and sys.stdin.isatty()):
@@ -123,7 +123,7 @@ def keyboard(runner: Commanded, ends: str = WHOLE) -> Iterator[None]:
         except NotUnderstood as refusal:
             print(refusal, file=sys.stderr)
             return
-        runner.put(Operator(runner.setup.clock.now_ns(), action, robot, "operator, in the terminal"))
+        runner.put(Operator(runner.setup.clock.now_ns(), action, robot, f"operator, in {where}"))
 
     def ready() -> None:
         try:

@@ -66,7 +66,7 @@ def watch_team(
         async def run() -> None:
             if page is not None:
                 page.attach(watching)
-            with keyboard(watching, "page"):
+            with keyboard(watching, "page", "the laptop's terminal"):
                 await watching.run()
 
         asyncio.run(run())

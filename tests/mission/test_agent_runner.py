@@ -199,7 +199,7 @@ def test_hold_all_at_one_robot_stops_the_other_at_once_and_resume_lets_it_go_on(
 
     team = two(tmp_path, act, duration_s=40.0)
     assert waited[0] < 0.2
-    assert "from another robot: hold all: stop" in notes(team["r2"].log / "mission.mcap")
+    assert "from others: hold all: stop" in notes(team["r2"].log / "mission.mcap")
 
 
 class Late(LoopClock):
@@ -248,7 +248,7 @@ def test_a_computer_without_a_robot_holds_all_and_says_who_does(tmp_path: Path) 
     team = two(tmp_path, act, duration_s=60.0)
     silent = dict.fromkeys(("r1", "r2"), "is not heard")
     assert said == [silent, {"r1": "holds", "r2": "is not heard"}, dict.fromkeys(("r1", "r2"), "holds")]
-    assert "HOLD ALL from the operator's computer" in notes(team["r2"].log / "mission.mcap")
+    assert "operator, by --hold" in notes(team["r2"].log / "mission.mcap")
     assert (
         notes(team["r1"].log / "mission.mcap").count("r2 on box is not heard: its clock is 600 s behind") == 1
     )

@@ -284,6 +284,7 @@ def test_a_word_to_one_is_not_to_the_others(settings: KernelSettings) -> None:
     assert [r for r in field.robots if field.kernel.robots[r].held] == ["r1"]
     assert set(field.kernel.tasks.of) == {("r3", "r4")}
     assert field.kernel.step(Operator(11 * S, "hold", reason="rain")).notes == ("operator: hold all: rain",)
+    assert not field.kernel.step(Operator(11 * S, "hold", reason="rain")).notes, "from another robot's log"
     assert all(field.kernel.robots[r].held for r in field.robots) and not field.kernel.tasks.of
     field.kernel.step(Operator(12 * S, "resume", "r1"))
     assert [r for r in field.robots if not field.kernel.robots[r].held] == ["r1"]

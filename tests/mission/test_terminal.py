@@ -37,11 +37,13 @@ class Mission:
 
     def __init__(self) -> None:
         self.orders: list[tuple[str, str | None]] = []
+        self.reasons: list[str] = []
         self.mission = SimpleNamespace(kernel=SimpleNamespace(engine=SimpleNamespace(robots=("r1", "r2"))))
         self.setup = SimpleNamespace(clock=RealClock())
 
     def put(self, event: Operator) -> None:
         self.orders.append((event.action, event.robot))
+        self.reasons.append(event.reason)
 
     async def until(self, number: int) -> list[tuple[str, str | None]]:
         for _ in range(int(WAIT_S / 0.01)):
@@ -65,6 +67,19 @@ def typed(terminal: int, *pieces: bytes, orders: int) -> list[tuple[str, str | N
     asyncio.run(type_them())
     orders_given: list[tuple[str, str | None]] = mission.orders
     return orders_given
+
+
+@pytest.mark.timeout(60)
+def test_an_order_says_in_whose_terminal_it_was_given(terminal: int) -> None:
+    mission: Any = Mission()
+
+    async def type_one() -> None:
+        with keyboard(mission, "agent", "r1's terminal"):
+            os.write(terminal, b"\n")
+            await mission.until(1)
+
+    asyncio.run(type_one())
+    assert mission.reasons == ["operator, in r1's terminal"]
 
 
 @pytest.mark.timeout(60)

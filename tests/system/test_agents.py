@@ -173,7 +173,7 @@ def test_two_agents_search_hold_together_and_one_that_is_killed_comes_back(
         own, common = open_recording(agent.log / "mission.mcap"), agent.log / "common.mcap"
         assert own.complete and own.metadata["agent"] == agent.name
         assert replay(common).complete
-    assert "from another robot: hold all: Ctrl-Z" in {
+    assert "from others: hold all: Ctrl-Z" in {
         note.text for _, note in open_recording(held / "mission.mcap").notes()
     }
     assert len(list((tmp_path / "r2" / "runs").iterdir())) == 2
