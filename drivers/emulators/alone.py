@@ -192,9 +192,14 @@ def write_mission(
         typer.echo(f"written: {out}/{{mission.toml, antenna.toml}}, ready to run in another terminal:")
         typer.echo(f"  fieldkit run {out}/mission.toml --page")
         return
-    typer.echo(f"written: {out}/{{mission.toml, antenna.toml}}, ready to run, each in a terminal of its own:")
-    begin = f"  fieldkit agent {out}/mission.toml"
-    typer.echo(f"{begin} --new-key          (once)")
-    for name, *_ in robots:
+    begin, names = f"  fieldkit agent {out}/mission.toml", [name for name, *_ in robots]
+    typer.echo(f"written: {out}/{{mission.toml, antenna.toml}}")
+    typer.echo("first a key, once:")
+    typer.echo(f"{begin} --new-key")
+    typer.echo("then the agents, each in a terminal of its own:")
+    for name in names:
         typer.echo(f"{begin} --robot {name} --out {name}")
-    typer.echo(f"{begin} --watch            (a laptop with a page)")
+    typer.echo("a laptop that watches, with a page:")
+    typer.echo(f"{begin} --watch --out laptop")
+    typer.echo("and when all have ended, their recordings as one:")
+    typer.echo(f"  fieldkit collect collected.mcap {' '.join(names)} laptop")

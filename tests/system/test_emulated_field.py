@@ -85,4 +85,6 @@ def test_for_agents_each_vehicle_has_an_address_of_its_own(tmp_path: Path) -> No
         address = f"127.0.0.1:{port + number - 1}"
         assert f"robot{number} sends to {address}" in said
         assert f'address = "udpin:{address}", system_id = {number}' in text
-    assert "fieldkit agent emulated-field/mission.toml --robot robot2" in said
+    assert "fieldkit agent emulated-field/mission.toml --robot robot2 --out robot2" in said
+    assert "fieldkit collect collected.mcap robot1 robot2 laptop" in said
+    assert all(len(line) <= 80 for line in said.splitlines())
