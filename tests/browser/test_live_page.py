@@ -67,6 +67,19 @@ def test_before_the_start_the_page_says_what_it_waits_for(browser: Any, tmp_path
         assert tab.locator("#state").inner_text() == "not started" and not tab.locator("#stale").is_visible()
 
 
+def test_before_anything_is_known_pages_of_agents_say_what_those_wait_for(
+    browser: Any, tmp_path: Path
+) -> None:
+    for ends, said in (
+        ("agent", "its radio and its vehicle"),
+        ("page", "Nothing has been heard of the robots"),
+    ):
+        with serve.live(small_mission(tmp_path)) as shown:
+            shown.ends(ends)  # type: ignore[arg-type]
+            with looking(browser, shown.page.command_address) as tab:
+                tab.wait_for_selector(f"#robots >> text={said}")
+
+
 def test_one_robot_is_held_returned_released_and_resumed(tab: Any, flown: Flown) -> None:
     card = tab.locator(".card[data-robot=r2]")
     card.get_by_text("Hold", exact=True).click()

@@ -140,7 +140,11 @@ export function waiting(hello) {
     names(false) && `the radio and the vehicle of each robot are there: ${names(false)}`,
     names(true) && `the radio and a position of whoever walks are there: ${names(true)}`,
   ].filter(Boolean).join("; and when ");
-  const text = `The mission starts when ${awaited}.`;
+  const text = {
+    mission: `The mission starts when ${awaited}.`,
+    agent: "This robot starts when its radio and its vehicle are there.",
+    page: "Nothing has been heard of the robots yet.",
+  }[hello.ends];
   find($("robots"), ".cards").replaceChildren(element("p", { className: "empty", textContent: text }));
   made.robots.clear();
 }
