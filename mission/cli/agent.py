@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 KEY_FILE = "mission.key"
 HOLD_S = 15.0
 """HOLD ALL is said for so long to those that have not shown it."""
+BY_HAND = "Stop them by hand, or say it again from nearer to them"
 
 
 def agent(
@@ -52,23 +53,28 @@ def agent(
         bool,
         typer.Option(
             "--watch",
-            help="From a computer without a robot: all that robots know on a page, and a hand on all.",
+            help="From a computer without a robot: a page with all that robots know, for orders to all.",
         ),
     ] = False,
     connect: Annotated[
         list[str] | None,
-        typer.Option(metavar="ADDRESS", help="Where another agent is: tcp/192.168.1.11:7447; repeat."),
+        typer.Option(metavar="ADDRESS", help="Where another agent listens: tcp/192.168.1.11:7447; repeat."),
     ] = None,
     listen: Annotated[
         list[str] | None,
-        typer.Option(metavar="ADDRESS", help="Where this one is reached: tcp/0.0.0.0:7447; repeat."),
+        typer.Option(
+            metavar="ADDRESS",
+            help="Where --connect reaches this one: tcp/0.0.0.0:7447; default: any free port; repeat.",
+        ),
     ] = None,
     scouting: Annotated[
         bool, typer.Option("--scouting/--no-scouting", help="Look for others by multicast.")
     ] = True,
     contact_m: Annotated[
         float | None,
-        typer.Option(help="Robots hear each other within so many metres, for sure; else nothing is assumed."),
+        typer.Option(
+            help="Promise that robots always hear each other within so many metres; default: no promise."
+        ),
     ] = None,
     wait_s: Annotated[
         float,
@@ -93,7 +99,9 @@ def agent(
     ] = "",
     page: Annotated[
         bool,
-        typer.Option("--page", help="Serve what this robot knows as a page; with --page-host for a laptop."),
+        typer.Option(
+            "--page", help="Serve what this robot knows as a page; for a laptop with --page-host 0.0.0.0."
+        ),
     ] = False,
     page_host: HostOption = given.PAGE_HOST,
     page_port: PortOption = given.PAGE_PORT,
@@ -105,7 +113,9 @@ def agent(
     agent alone. An agent that was killed goes on by itself when it is started again. Exit code 4: the vehicle has not
     shown that it holds.
 
-    Example: fieldkit agent mission.toml --robot r1 --connect tcp/192.168.1.11:7447
+    Example: fieldkit agent mission.toml --robot r1 --listen tcp/0.0.0.0:7447
+
+    Example: fieldkit agent mission.toml --robot r2 --connect tcp/192.168.1.11:7447
 
     Example: fieldkit agent mission.toml --robot r2 --page --page-host 0.0.0.0
 
@@ -143,6 +153,8 @@ def agent(
         _watch(mission, network, clock, secret, out, bytes_s, page_host, page_port, as_json=as_json)
         return
     if hold:
+        say(f"says HOLD ALL until all hold, for {HOLD_S:g} s at the most")
+        say(f"looks for robots {network.where}")
         said = asyncio.run(hold_all(robots, network, card, secret, clock, HOLD_S))
         _print_held(said, as_json=as_json)
         return
@@ -160,13 +172,15 @@ def agent(
     with before_the_start(), begun_folder(out, mission) as (folder, on_start):
         if resumed is not None:
             say(f"goes on with what {robot} knew: {resumed}", always=True)
-        say(f"{robot} records to {folder}; looks for others {network.where}")
+        say(f"{robot} records to {folder}")
+        say(f"looks for others {network.where}")
         with (
             shown_page(mission, page, page_host, page_port, "agent") as shown,
             Watch(quiet=as_json and not sys.stderr.isatty()) as terminal,
         ):
             runner = fly_agent(mission, setup, network, card, options, folder, terminal.show, shown, on_start)
-        say(f"written: {folder}/{{mission.mcap, common.mcap}}; 'fieldkit report' makes a page of either")
+        say(f"written: {folder}")
+        say("'fieldkit collect' makes one recording of the folders of all robots")
     # A robot's computer has better to do than to draw.
     print_flown(runner, folder, as_json=as_json, report=False)
 
@@ -205,7 +219,8 @@ def _watch(
     with before_the_start():
         warm_up(mission)
     with before_the_start(), begun_folder(out, mission) as (folder, on_start):
-        say(f"records to {folder}; looks for robots {network.where}")
+        say(f"records to {folder}")
+        say(f"looks for robots {network.where}")
         with (
             shown_page(mission, True, host, port, "page") as shown,
             Watch(quiet=as_json and not sys.stderr.isatty()) as terminal,
@@ -218,16 +233,14 @@ def _watch(
     if as_json:
         print_json(result | {"sources": finds, "recording": str(folder / "common.mcap")})
     else:
-        typer.echo(f"ended: {watched.end_reason}; the robots' agents go on")
+        typer.echo(f"ended: {watched.end_reason}; this ended no robot's agent")
         sources_table(finds, watched.kernel.detections)
-    say(f"written: {folder}/{{observations.log, common.mcap}}; 'fieldkit collect' takes the folder in")
+    say(f"written: {folder}")
+    say("'fieldkit collect' takes the folder in, as a robot's")
     if result["not_handed_on"]:
         say(f"NOBODY HAS GOT: {', '.join(result['not_handed_on'])}", always=True)
     if others := result["not_shown_to_hold"]:
-        say(
-            f"NOT CONFIRMED to hold: {', '.join(others)}: stop by hand, or nearer to them once more",
-            always=True,
-        )
+        say(f"NOT CONFIRMED to hold: {', '.join(others)}. {BY_HAND}", always=True)
         raise typer.Exit(UNCONFIRMED_EXIT)
 
 
@@ -240,10 +253,7 @@ def _print_held(said: dict[str, str], *, as_json: bool) -> None:
             typer.echo(f"{robot} {word}")
     others = [robot for robot, word in said.items() if word != "holds"]
     if others:
-        say(
-            f"NOT CONFIRMED to hold: {', '.join(others)}: stop by hand, or nearer to them once more",
-            always=True,
-        )
+        say(f"NOT CONFIRMED to hold: {', '.join(others)}. {BY_HAND}", always=True)
         raise typer.Exit(UNCONFIRMED_EXIT)
 
 

@@ -45,7 +45,9 @@ def collect(
             own = "" if known["own_journal"] else ", by others' journals alone"
             typer.echo(f"  {robot}: {known['observations']}{own}")
         if done.compared:
-            typer.echo(f"{done.agreeing} of {done.compared} ended with the belief that these observations give")
+            typer.echo(
+                f"{done.agreeing} of {done.compared} ended with the belief that these observations give"
+            )
         for note in done.notes:
             typer.echo(f"note: {note}", err=True)
         for each in done.refused:
