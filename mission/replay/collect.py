@@ -5,7 +5,7 @@ together they are stepped through the kernel in the order that all agents keep: 
 the last moment that anybody knew of. What agents wrote down that they believed in the end is compared.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from mission.core.mission_file import Mission
 from mission.core.timeline import Timeline
 from mission.replay.replay import recorded_mission
 from mission.shell import journal as journals
+from mission.shell.agent_flight import hash_of
 from mission.shell.chronicle import common_of
 from mission.shell.recorder import recording_of
 
@@ -83,16 +84,23 @@ def collect(out: Path, places: Sequence[Path], report: Progress = lambda share, 
     Raises `DataError` where there is no journal of an agent, or none that can be read.
     """
     paths, refused = _journals(places)
-    mission: Mission | None = None
-    flights: list[Flight] = []
+    heads: dict[Path, journals.Head] = {}
     for path in paths:
         try:
-            head = journals.head_of(path)
-            mission = mission or _mission_beside(path)
-            flights.append(_read(path, head, mission, flights[0].head if flights else None))
+            heads[path] = journals.head_of(path)
         except FieldkitError as error:
             refused.append(str(error))
-    if mission is None or not flights:
+    known, problems = _first_with_mission(heads)
+    if known is None:
+        raise DataError("no agent's journal could be taken in: " + "; ".join([*refused, *problems]))
+    first, mission = known
+    flights: list[Flight] = []
+    for path, head in heads.items():
+        try:
+            flights.append(_read(path, head, mission, first))
+        except FieldkitError as error:
+            refused.append(str(error))
+    if not flights:
         raise DataError("no agent's journal could be taken in: " + "; ".join(refused))
     robots = mission.kernel.engine.robots
     whole, contradictions = lay_together([flight.logs for flight in flights], robots)
@@ -140,31 +148,48 @@ def _journals(places: Sequence[Path]) -> tuple[list[Path], list[str]]:
     return list(found.values()), refused
 
 
-def _mission_beside(journal: Path) -> Mission:
-    """The mission that was flown, from a recording beside the journal."""
+def _first_with_mission(
+    heads: Mapping[Path, journals.Head],
+) -> tuple[tuple[journals.Head, Mission] | None, list[str]]:
+    """The first journal with its mission beside it; that is of the others like it too. Else None, and why."""
+    problems: list[str] = []
+    for path, head in heads.items():
+        try:
+            return (head, _mission_beside(path, head)), problems
+        except FieldkitError as error:
+            problems.append(str(error))
+    return None, problems
+
+
+def _mission_beside(journal: Path, head: journals.Head) -> Mission:
+    """The mission that was flown, from a recording beside the journal that is of the same one."""
     problems = []
     for name in RECORDINGS:
         try:
-            return recorded_mission(open_recording(journal.with_name(name)))
+            recording = open_recording(journal.with_name(name))
+            its = hash_of(recording.mission_toml, recording.antenna_toml)
+            if its == head.mission_hash:
+                return recorded_mission(recording)
         except FieldkitError as error:
             problems.append(str(error))
+        else:
+            problems.append(
+                f"{name} beside it is of another mission or antenna file ({its}, not {head.mission_hash})"
+            )
     raise RecordingError(f"{journal}: which mission it is of cannot be known: " + "; ".join(problems))
 
 
-def _read(path: Path, head: journals.Head, mission: Mission, first: journals.Head | None) -> Flight:
+def _read(path: Path, head: journals.Head, mission: Mission, first: journals.Head) -> Flight:
     """One journal. Raises `RecordingError` for one that does not belong to the first."""
     robots = mission.kernel.engine.robots
-    if first is not None:
-        differs = {
-            "another mission or antenna file": (head.mission_hash, first.mission_hash),
-            "another mission key": (head.team, first.team),
-            "another fieldkit": (head.made, first.made),
-        }
-        for what, (its, ours) in differs.items():
-            if its != ours:
-                raise RecordingError(
-                    f"{path}: it was made with {what} ({its}; the first with {ours}): left out"
-                )
+    differs = {
+        "another mission or antenna file": (head.mission_hash, first.mission_hash),
+        "another mission key": (head.team, first.team),
+        "another fieldkit": (head.made, first.made),
+    }
+    for what, (its, ours) in differs.items():
+        if its != ours:
+            raise RecordingError(f"{path}: it was made with {what} ({its}; the first with {ours}): left out")
     if head.robot and head.robot not in robots:
         raise RecordingError(
             f"{path}: it is of {head.robot!r}, which is not in the mission ({', '.join(robots)})"
@@ -250,6 +275,11 @@ def _known(whole: Logs, flights: Sequence[Flight], robots: Sequence[str]) -> dic
 def _missing(whole: Logs, flights: Sequence[Flight], robots: Sequence[str]) -> list[str]:
     """What is not here, as far as that can be known."""
     words = [f"{flight.journal}: {flight.damage}" for flight in flights if flight.damage]
+    words += [
+        f"{flight.journal}: {NO_ROBOT} did not come to its end, still runs, or its journal is cut"
+        for flight in flights
+        if not flight.head.robot and not flight.is_ended
+    ]
     end = _end(whole)
     for robot in robots:
         own = [flight for flight in flights if flight.head.robot == robot]

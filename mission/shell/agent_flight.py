@@ -56,7 +56,12 @@ class Options:
 
 def mission_hash(mission: Mission) -> str:
     """A short hash of everything that must be the same on all robots: mission and antenna file."""
-    both = (mission.text + "\n\0\n" + mission.antenna_text).replace("\r\n", "\n")
+    return hash_of(mission.text, mission.antenna_text)
+
+
+def hash_of(mission_toml: str, antenna_toml: str) -> str:
+    """The same, of both files' texts as they were read."""
+    both = (mission_toml + "\n\0\n" + antenna_toml).replace("\r\n", "\n")
     return hashlib.sha256(both.encode()).hexdigest()[:12]
 
 

@@ -135,6 +135,32 @@ def test_what_does_not_belong_is_named_and_left_out(runs: Path, changed: dict[st
     assert words in refused and len(done.journals) == 1 and done.observations > 20
 
 
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_journal_alone_is_taken_in_beside_one_that_has_its_mission(runs: Path, name: str) -> None:
+    """Whichever comes first."""
+    for recording in ("mission.mcap", "common.mcap"):
+        (runs / f"{name}-1" / recording).unlink()
+    done = collect(runs / "collected.mcap", [runs])
+    assert done.refused == [] and len(done.journals) == 2 and done.compared == 1
+
+
+def test_a_recording_of_another_mission_beside_a_journal_is_not_taken_for_its_own(runs: Path) -> None:
+    for name in ROBOTS:
+        rewritten(runs, name, mission_hash="0" * 12)
+    with pytest.raises(DataError, match=r"mission\.mcap beside it is of another mission or antenna file"):
+        collect(runs / "collected.mcap", [runs])
+
+
+def test_a_laptops_journal_that_is_cut_is_named(runs: Path) -> None:
+    rewritten(runs, "r2", robot="")
+    assert not any("did not come to its end" in each for each in collect(runs / "whole.mcap", [runs]).notes)
+    cut(runs)
+    notes = collect(runs / "collected.mcap", [runs]).notes
+    assert any(
+        f"{journal(runs, 'r2')}: a computer that watched did not come to its end" in each for each in notes
+    )
+
+
 def test_the_same_journal_given_twice_is_one(runs: Path) -> None:
     done = collect(
         runs / "c.mcap", [runs / "r1-1", runs / "r1-1" / "mission.mcap", journal(runs, "r1"), runs]
