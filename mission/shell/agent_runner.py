@@ -226,14 +226,32 @@ class AgentRunner(Runner):
     async def _leave(self) -> None:
         """The robot holds first; then the others fetch what they lack."""
         await super()._leave()
-        self.crew.journal.write(self.crew.agent.logs)
-        self.crew.journal.end()
+        self._log_late_orders()
         clock, agent = self.setup.clock, self.crew.agent
         until_s = clock.elapsed_s() + LINGER_S
         while clock.elapsed_s() < until_s and self._somebody_lacks():
             for message in agent.messages(clock.now_ns(), self._apart.announced, self._apart.ways):
                 self.crew.network.publish(message)
             await clock.sleep(TICK_S)
+            self._log_late_orders()
+
+    def _log_late_orders(self) -> None:
+        """Operators' orders that came when nothing was stepped any more: they were said at once, and go on by the log.
+
+        Then the journal ends, once more where something was added.
+        """
+        crew = self.crew
+        while not self._inbox.empty():
+            came = self._inbox.get_nowait()
+            event = None if isinstance(came, BaseException) else came[2]
+            if (
+                isinstance(event, Operator)
+                and event.action not in ("end", "withdraw")
+                and not crew.agent.talk.lost
+            ):
+                self.decide(event)
+        crew.journal.write(crew.agent.logs)
+        crew.journal.end()
 
     def _somebody_lacks(self) -> bool:
         talk = self.crew.agent.talk
