@@ -210,3 +210,32 @@ def test_over_links_that_take_seconds_a_watcher_waits_for_what_is_on_its_way() -
     needed = sum(log.packed_bytes for log in team["laptop"].logs.entries.values()) or known * 8
     assert team["laptop"].sent["again"] - before < 4 * needed
     assert team["laptop"].peers["b"].round_trip_s == pytest.approx(10.5, abs=1.0)
+
+
+def next_mission(team: dict[str, Talk], first: int, end: int) -> None:
+    """The robots that are there and a laptop of the mission before are in reach of each other."""
+    for tick in range(first, end):
+        now_ns = START_NS + 1000 * S + tick * TICK_NS
+        for name in ROBOTS:
+            if name in team:
+                team[name].logs.append(packing.quantised(RssReading(now_ns, name, -50.0)), now_ns)
+                team[name].logs.close(now_ns)
+        for name, talk in team.items():
+            for message in talk.messages(now_ns):
+                for other in team.keys() - {name}:
+                    team[other].take(message, now_ns)
+
+
+def test_a_laptop_of_the_mission_before_ends_no_agent_before_it_can_know_better() -> None:
+    """A laptop that was left open comes into reach, and leaves when it hears that another mission has begun."""
+    laptop = watcher()
+    converse({"a": robot("a"), "b": robot("b"), "laptop": laptop}, (0, 60))
+    a = robot("a")
+    next_mission({"a": a}, 0, 10)
+    next_mission({"a": a, "laptop": laptop}, 10, 10 + 2 * round(GIVE_BACK_S) - 1)
+    assert not a.lost
+    next_mission({"a": a}, 40, 60)
+    next_mission({"a": a, "laptop": laptop}, 60, 70)
+    assert not a.lost, "what it said long ago is nothing that it goes on saying"
+    next_mission({"a": a, "laptop": laptop}, 70, 80)
+    assert a.lost, "it knows that it is the same mission, and that this robot has lost its log"

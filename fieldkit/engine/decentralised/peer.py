@@ -46,6 +46,8 @@ class Peer:
     """Up to which entry each log was sent again to it."""
     lacks_own_ns: int | None = None
     """Since when it lacks entries of its own logs that are known here; None: it has all."""
+    has_more_ns: int | None = None
+    """Since when, heard all the time, it has more of our own logs than we; None: it has not."""
     moved_ns: dict[Key, int] = field(default_factory=dict)
     """When it last had more of a log, or was begun to be sent it again."""
 
@@ -70,6 +72,12 @@ class Peer:
         if waited_s > AGAIN_TRIPS * self.round_trip_s + 2.0 * TICK_S:
             self.moved_ns[key], self.sent[key] = now_ns, count
         return max(count, self.sent.get(key, 0))
+
+    def hears_from(self, now_ns: int) -> None:
+        """It is heard."""
+        if not self.is_heard(now_ns):
+            self.has_more_ns = None
+        self.heard_ns = now_ns
 
     def wants_own_back(self, now_ns: int) -> bool:
         """Whether it has lost its own log for good."""

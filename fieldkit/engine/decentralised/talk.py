@@ -18,7 +18,7 @@ from enum import Enum
 
 from fieldkit.engine.decentralised import packing
 from fieldkit.engine.decentralised.logs import NEVER, STEP_NS, TICK_NS, Entry, Key, Logs, Part, Stream
-from fieldkit.engine.decentralised.peer import LAGS, Peer
+from fieldkit.engine.decentralised.peer import GIVE_BACK_S, LAGS, Peer
 from fieldkit.engine.decentralised.sealing import OVERHEAD_BYTES, Opened, Seal
 from fieldkit.engine.decentralised.ways import NO_WAY, Way, read_way, write_way
 from fieldkit.errors import RecordingError
@@ -116,7 +116,7 @@ class Talk:
             name, peer = "", self.watchers.setdefault(opened.sender, Peer(now_ns))
         else:
             return self._from_operator(opened)
-        peer.heard_ns = now_ns
+        peer.hears_from(now_ns)
         if opened.kind == STATE:
             peer.lags_s.append((now_ns - opened.sent_ns) * 1e-9)
         reader = packing.Reader(opened.body)
@@ -127,6 +127,8 @@ class Talk:
             table = self._read_state(peer, reader, tick, opened.sent_ns) if opened.kind == STATE else {}
             new, ahead = self._read_parts(reader, tick)
             self._learn(peer, table, now_ns)
+            if table:
+                self.lost = self.lost or self._shows_loss(peer, table, now_ns, is_robot=bool(name))
             if name and table:
                 self._mind_own(name, peer, table, now_ns)
             return Said(name, new, ahead=ahead)
@@ -168,10 +170,23 @@ class Talk:
         for key, (count, closed) in table.items():
             peer.said(key, count, now_ns)
             logs.learn(key, count, closed)
-            self.lost = self.lost or (key[0] == logs.me and logs.has_begun and count > len(logs.entries[key]))
         own = table.get((logs.me, Stream.ORDERS))
         if own is not None and own[1] > NEVER:
             peer.round_trips_s.append(min(now_ns / 1e9 - own[1] * TICK_S, LONGEST_ROUND_TRIP_S))
+
+    def _shows_loss(
+        self, peer: Peer, table: dict[Key, tuple[int, int]], now_ns: int, *, is_robot: bool
+    ) -> bool:
+        """Whether a peer has more of our own logs than we, which go on already.
+
+        A watcher may be one of the mission before: when it hears who we are it leaves, so it is not believed at once.
+        """
+        counts = {key: len(self.logs.entries[key]) for key in self.logs.own}
+        has_more = self.logs.has_begun and any(table[key][0] > count for key, count in counts.items())
+        peer.has_more_ns = (peer.has_more_ns or now_ns) if has_more else None
+        if is_robot or peer.has_more_ns is None:
+            return has_more
+        return (now_ns - peer.has_more_ns) * 1e-9 >= GIVE_BACK_S
 
     def _mind_own(self, name: str, peer: Peer, table: dict[Key, tuple[int, int]], now_ns: int) -> None:
         """Notice a robot that has lost its own log; and where we have none, how long messages take by both clocks."""
@@ -268,6 +283,7 @@ class Talk:
         self._clock_set_ns = now_ns + round((CLOCKS_SETTLE_S + max(0.0, by_s)) * 1e9)
         for peer in (*self.peers.values(), *self.watchers.values()):
             peer.heard_ns -= round(by_s * 1e9)
+            peer.has_more_ns = None
             peer.lags_s.clear()
             peer.told_lag_s = None
 
