@@ -68,6 +68,8 @@ class Agent:
     _obeyed: set[Operator] = field(default_factory=set)
     _held_ns: int = 0
     _resumed_ns: int = 0
+    _let_go_ns: int = 0
+    """When its robot was last told something else than to hold."""
     _ready: bool = False
     _early: dict[type, Observation] = field(default_factory=dict)
     """Its own last pose and states from before its first tick."""
@@ -115,6 +117,10 @@ class Agent:
         if not said.robot and said.order is not None:
             if self._is_new(said.order):
                 self.unlogged.append(said.order)
+            elif self._holds_by(said.order):
+                self.talk.obeyed = code_of(
+                    said.order
+                )  # another order has come since, and this one is asked for
             return []
         orders = [] if said.order is None else [said.order]
         for entry in said.new:
@@ -134,6 +140,10 @@ class Agent:
         self.talk.obeyed = code_of(order)
         return self._stands(order)
 
+    def _holds_by(self, order: Operator) -> bool:
+        """Whether its robot is to hold by an order that was obeyed, and was not let go since."""
+        return order.action == "hold" and order.robot in (None, self.me) and order.t_ns > self._let_go_ns
+
     def _stands(self, order: Operator) -> bool:
         """Whether no later order to its robot has made one void. In doubt a robot holds."""
         if order.action == "resume":
@@ -144,6 +154,8 @@ class Agent:
             if (self._resumed_ns - order.t_ns) * 1e-9 > ORDERS_APART_S:
                 return False
             self._held_ns = max(self._held_ns, order.t_ns)
+        if order.action in ("resume", "return", "release"):
+            self._let_go_ns = max(self._let_go_ns, order.t_ns)
         return True
 
     def remembered(self) -> list[Operator]:
