@@ -201,5 +201,5 @@ def write_mission(
         typer.echo(f"{begin} --robot {name} --out {name}")
     typer.echo("a laptop that watches, with a page:")
     typer.echo(f"{begin} --watch --out laptop")
-    typer.echo("and when all have ended, their recordings as one:")
+    typer.echo("when all have ended, their recordings as one (no laptop: leave it out):")
     typer.echo(f"  fieldkit collect collected.mcap {' '.join(names)} laptop")
