@@ -63,6 +63,16 @@ class Log(Sequence[Entry]):
             raise IndexError(f"log: there is no entry {index} of {len(self)}")
         return self._at(number)
 
+    def up_to(self, end_ns: int, first: int = 0) -> list[Entry]:
+        """From entry `first` on, those up to a time."""
+        found: list[Entry] = []
+        for number in range(first, len(self)):
+            entry = self._at(number)
+            if entry.order_ns > end_ns:
+                break
+            found.append(entry)
+        return found
+
     def __iter__(self) -> Iterator[Entry]:
         return (self._at(number) for number in range(len(self)))
 

@@ -9,8 +9,9 @@ Observations are ordered by the time at which they entered their log, then by ro
 therefore stands late in the log, as it would in the inbox of a single computer, and no log is ever reopened.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 
 from fieldkit.engine.decentralised.entries import (
     STEP_NS,
@@ -45,6 +46,12 @@ MOST_PENDING = 256
 """Parts kept until what lies before them has come."""
 
 
+@cache
+def _keys(robots: tuple[str, ...]) -> tuple[Key, ...]:
+    # Asked for at every message of every robot; an enumeration is slow to go through.
+    return tuple((robot, stream) for robot in robots for stream in Stream)
+
+
 @dataclass
 class Logs:
     """All logs of a team as one member knows them."""
@@ -65,20 +72,20 @@ class Logs:
     def __post_init__(self) -> None:
         if self.me and self.me not in self.robots:
             raise ValueError(f"robot {self.me!r} is not one of {', '.join(self.robots)}")
-        keys = list(self.keys(self.robots))
+        keys = self.keys(self.robots)
         self.entries = {key: Log(*key) for key in keys}
         self.closed = dict.fromkeys(keys, NEVER)
         self._pending = {key: {} for key in keys}
 
     @staticmethod
-    def keys(robots: Iterable[str]) -> Iterator[Key]:
+    def keys(robots: Iterable[str]) -> tuple[Key, ...]:
         """The logs of these robots, in a fixed order."""
-        return ((robot, stream) for robot in robots for stream in Stream)
+        return _keys(tuple(robots))
 
     @property
     def own(self) -> tuple[Key, ...]:
         """One's own logs, the most urgent first."""
-        return tuple(self.keys((self.me,))) if self.me in self.robots else ()
+        return self.keys((self.me,)) if self.me in self.robots else ()
 
     # -- one's own -----------------------------------------------------------------------------------------
 
@@ -149,7 +156,7 @@ class Logs:
 
     def closed_of(self, robot: str) -> int:
         """The tick up to which everything of one robot is known."""
-        return min(self.closed[key] for key in self.keys((robot,)))
+        return min([self.closed[key] for key in _keys((robot,))])
 
     def checkpoint(self, robots: Iterable[str] | None = None) -> int:
         """The tick up to which everything of all these robots is known; None: of everybody."""
@@ -164,9 +171,8 @@ class Logs:
         end_ns = tick * TICK_NS
         found = []
         for key, log in self.entries.items():
-            for number in range(fed.get(key, 0), len(log)):
-                if log[number].order_ns > end_ns:
-                    break
-                found.append((log[number].order_ns, key, number))
-        found.sort()
-        return [(key, self.entries[key][number]) for _, key, number in found]
+            first = fed.get(key, 0)
+            for number, entry in enumerate(log.up_to(end_ns, first), first):
+                found.append((entry.order_ns, key, number, entry))
+        found.sort(key=lambda each: each[:3])
+        return [(key, entry) for _, key, _, entry in found]
