@@ -239,3 +239,14 @@ def test_a_laptop_of_the_mission_before_ends_no_agent_before_it_can_know_better(
     assert not a.lost, "what it said long ago is nothing that it goes on saying"
     next_mission({"a": a, "laptop": laptop}, 70, 80)
     assert a.lost, "it knows that it is the same mission, and that this robot has lost its log"
+
+
+def test_a_laptop_of_the_mission_before_brings_nobody_the_logs_of_others() -> None:
+    """One of the robots has begun anew, the other has not: what the laptop knows of that one is of the mission before."""
+    laptop = watcher()
+    converse({"a": robot("a"), "b": robot("b"), "laptop": laptop}, (0, 60))
+    a = robot("a")
+    next_mission({"a": a, "laptop": laptop}, 0, 2 * round(GIVE_BACK_S) - 1)
+    assert not any(a.logs.entries["b", stream] for stream in Stream)
+    next_mission({"a": a, "laptop": laptop}, 2 * round(GIVE_BACK_S) - 1, 2 * round(GIVE_BACK_S) + 4)
+    assert any(a.logs.entries["b", stream] for stream in Stream), "it has not left: it is of this mission"

@@ -13,8 +13,8 @@ ROUND_TRIP_S = 1.0
 AGAIN_TRIPS = 0.5
 """What does not arrive is sent again after so many round trips: less than one, since the second try may be lost too."""
 GIVE_BACK_S = 6.0
-"""A robot that lacks its own log for so long gets it back from a watcher. Longer than between two cards: one that has
-begun a new mission is known by then (`mission.shell.watching`), and must not get the log of the last."""
+"""A robot that lacks its own log for so long gets what it lacks from a watcher. Longer than between two cards: one that
+has begun a new mission is known by then (`mission.shell.watching`), and must not get the logs of the last."""
 LAGS = 6
 """Tables by which a clock is measured."""
 
@@ -79,9 +79,11 @@ class Peer:
             self.has_more_ns = None
         self.heard_ns = now_ns
 
-    def wants_own_back(self, now_ns: int) -> bool:
-        """Whether it has lost its own log for good."""
-        return self.lacks_own_ns is not None and (now_ns - self.lacks_own_ns) * 1e-9 >= GIVE_BACK_S
+    def may_have_begun_anew(self, now_ns: int) -> bool:
+        """Whether nobody can tell yet if it has lost its own log or is of the next mission, which gets nobody's."""
+        if self.said_ns == 0:
+            return True
+        return self.lacks_own_ns is not None and (now_ns - self.lacks_own_ns) * 1e-9 < GIVE_BACK_S
 
     def is_heard(self, now_ns: int) -> bool:
         """Whether it is in range."""

@@ -353,7 +353,7 @@ class Talk:
             count = peer.counts.get(key, 0)
             if count >= end:
                 continue
-            if not self.logs.own and peer is self.peers.get(key[0]) and not peer.wants_own_back(now_ns):
+            if not self.logs.own and peer.may_have_begun_anew(now_ns):
                 continue
             if mine:  # what has just left may be on its way
                 settled_ns = now_ns - round((peer.round_trip_s + TICK_S) * 1e9)
