@@ -54,8 +54,26 @@ def scale() -> dict[str, Any]:
             "slope": {name: _slope(rows, axis, name) for name in ("update_ms", "plan_ms", "kept_mb")},
         }
     result["place noise"] = _small_field(**base, place_noise=True)
-    result["1 km, range 300 m, 3 robots at 10 m/s, 8 sources"] = _kilometre(10.0)
-    result["the same in cells of 5 m"] = _kilometre(5.0)
+    kilometre: dict[str, Any] = {
+        "side_m": 1_000.0,
+        "range_m": 300.0,
+        "robots": 3,
+        "sources": 8,
+        "detections": DETECTIONS,
+    }
+    result["1 km, range 300 m, 3 robots at 10 m/s, 8 sources"] = _drones(cell_m=10.0, **kilometre)
+    result["the same in cells of 5 m"] = _drones(cell_m=5.0, **kilometre)
+    ten: dict[str, Any] = {
+        "side_m": 10_000.0,
+        "cell_m": 20.0,
+        "range_m": 1_000.0,
+        "robots": 16,
+        "sources": 64,
+    }
+    for heard in (60, DETECTIONS):
+        result[f"10 km, range 1 km, 16 robots at 10 m/s, 64 sources, {heard} detections"] = _drones(
+            detections=heard, **ten
+        )
     return result
 
 
@@ -85,44 +103,54 @@ def _small_field(
         at = np.clip(middle + rng.normal(0.0, 2.0, (len(engine.robots), 2)), 0.0, side_m)
         return np.asarray(at, dtype=float)
 
-    return _measured(engine, places_m, near, detections, 20.0, rng)
+    return _measured(engine, near, lambda number: (20.0, places_m[number % sources]), detections, rng)
 
 
-def _kilometre(cell_m: float) -> dict[str, float]:
-    """Three drones on their ways over a square kilometre, where each hears most of what is sent."""
+def _drones(
+    *, side_m: float, cell_m: float, range_m: float, robots: int, sources: int, detections: int
+) -> dict[str, float]:
+    """Drones at 10 m/s on their ways over a large field; every source sends at the rate that is believed."""
     exponent, threshold_dbm = 2.53, -90.0
-    antenna = Antenna(exponent, threshold_dbm + 10 * exponent * np.log10(300.0), 3.3, threshold_dbm)
+    antenna = Antenna(exponent, threshold_dbm + 10 * exponent * np.log10(range_m), 3.3, threshold_dbm)
     engine = EngineSettings(
-        Grid(1_000.0, 1_000.0, cell_m),
+        Grid(side_m, side_m, cell_m),
         antenna,
-        (("r0",), ("r1",), ("r2",)),
-        expected_sources=8.0,
+        tuple((f"r{k}",) for k in range(robots)),
+        expected_sources=float(sources),
         max_speed_m_s=10.0,
         min_separation_m=10.0,
     )
     rng = np.random.default_rng(7)
-    places_m = rng.uniform(100.0, 900.0, (8, 2))
-    angle = rng.uniform(0.0, 2.0 * np.pi, 3)
-    at = rng.uniform(100.0, 900.0, (3, 2))
+    edge_m = 0.1 * side_m
+    places_m = rng.uniform(edge_m, side_m - edge_m, (sources, 2))
+    angle = rng.uniform(0.0, 2.0 * np.pi, robots)
+    at = rng.uniform(edge_m, side_m - edge_m, (robots, 2))
+    all_send_s = 1.0 / (engine.reference_rate_hz * sources)
 
     def on_their_way(_: int) -> FloatArray:
         nonlocal at, angle
-        angle = angle + rng.normal(0.0, 0.5, 3)
-        at = np.clip(at + 40.0 * np.column_stack([np.sin(angle), np.cos(angle)]), 0.0, 1_000.0)
+        angle = angle + rng.normal(0.0, 0.5, robots)
+        step_m = 10.0 * all_send_s * np.column_stack([np.sin(angle), np.cos(angle)])
+        at = np.clip(at + step_m, 0.0, side_m)
         return at.copy()
 
-    return _measured(engine, places_m, on_their_way, DETECTIONS, 4.0, rng)
+    def any_sends(_: int) -> tuple[float, FloatArray]:
+        return float(rng.exponential(all_send_s)), places_m[rng.integers(sources)]
+
+    return _measured(engine, on_their_way, any_sends, detections, rng)
 
 
 def _measured(
     engine: EngineSettings,
-    places_m: FloatArray,
     robots_at: Callable[[int], FloatArray],
+    sent: Callable[[int], tuple[float, FloatArray]],
     detections: int,
-    listen_s: float,
     rng: np.random.Generator,
 ) -> dict[str, float]:
-    """Fill a belief with so many detections of sources in turn, and time some more."""
+    """Fill a belief with so many detections, and time some more.
+
+    `sent` says how long after the last the next packet is sent, in seconds, and from where (2,) in m.
+    """
     belief, planner = IntensityBelief(engine), InfoGainPlanner(engine)
     m, now_ns = len(engine.robots), 0
 
@@ -130,9 +158,8 @@ def _measured(
         nonlocal now_ns
         while True:
             at = robots_at(number)
-            rss = sample_rss_dbm(
-                engine.antenna, np.hypot(*(at - places_m[number % len(places_m)]).T), 0.0, rng
-            )
+            listen_s, place_m = sent(number)
+            rss = sample_rss_dbm(engine.antenna, np.hypot(*(at - place_m).T), 0.0, rng)
             before_ns, now_ns = now_ns, now_ns + round(listen_s * 1e9)
             belief.listen(Listening(before_ns, now_ns, engine.robots, at))
             if not np.isnan(rss).all():

@@ -147,16 +147,18 @@ def test_two_equal_candidates_are_one_even_after_their_detections_were_frozen() 
     (first,) = [each for each in mixture.candidates if each.receptions > 3.0]
     twin = first.copy()
     twin.ident = mixture.next_ident()
-    half = {number: share / 2.0 for number, share in first.responsibility.items()}
-    for candidate in (first, twin):
-        candidate.set_responsibilities(list(half), list(half.values()))
-        for number in list(half)[:6]:
+    whole = dict(first.responsibility)
+    for candidate, part in ((first, 0.45), (twin, 0.55)):  # the newcomer is the larger one
+        candidate.set_responsibilities(list(whole), [part * share for share in whole.values()])
+        for number in list(whole)[:6]:
             candidate.forget(number)
     mixture.candidates.append(twin)
     assert twin.frozen_receptions > 1.0
+    mixture.revise_at = {first.ident: 40.0}
     together = first.receptions + twin.receptions
     assert merged_gain(first, twin) > 0.0
-    assert merge(mixture)
+    assert [each.ident for each in merge(mixture)] == [twin.ident]
+    assert mixture.revise_at[twin.ident] == 40.0, "divided and one again: not to be divided at once"
     (left,) = [each for each in mixture.candidates if each.receptions > 3.0]
     assert left.receptions == pytest.approx(together, rel=1e-6)
 

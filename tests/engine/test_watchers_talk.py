@@ -242,7 +242,7 @@ def test_a_laptop_of_the_mission_before_ends_no_agent_before_it_can_know_better(
 
 
 def test_a_laptop_of_the_mission_before_brings_nobody_the_logs_of_others() -> None:
-    """One of the robots has begun anew, the other has not: what the laptop knows of that one is of the mission before."""
+    """One robot has begun anew, the other has not: what the laptop knows of that one is of the mission before."""
     laptop = watcher()
     converse({"a": robot("a"), "b": robot("b"), "laptop": laptop}, (0, 60))
     a = robot("a")

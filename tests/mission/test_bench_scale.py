@@ -26,7 +26,7 @@ def test_each_row_varies_one_thing_alone(monkeypatch: pytest.MonkeyPatch, tmp_pa
         }
 
     monkeypatch.setattr(bench_scale, "_small_field", measured)
-    monkeypatch.setattr(bench_scale, "_kilometre", lambda cell_m: {"update_ms": cell_m})
+    monkeypatch.setattr(bench_scale, "_drones", lambda **row: {"update_ms": row["cell_m"]})
     result = bench_scale.scale()
     base = (2_500, 300, 8, 8)
     assert all(sum(a != b for a, b in zip(row, base, strict=True)) <= 1 for row in asked)

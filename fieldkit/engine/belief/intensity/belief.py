@@ -20,6 +20,7 @@ from fieldkit.engine.belief.intensity.mixture import Mixture
 from fieldkit.engine.belief.intensity.region import smallest_region
 from fieldkit.engine.belief.intensity.silence import expected_asleep, gone_probability, gone_silent, silence
 from fieldkit.engine.belief.intensity.silence import words as silence_words
+from fieldkit.engine.belief.intensity.unknown import expected_unknown
 from fieldkit.engine.likelihood.ears_loops import NORTH, UP
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, FloatArray, Listening, SourceEstimate
@@ -340,7 +341,7 @@ class IntensityBelief:
     def _another_source(self, rate_hz: float | None = None) -> FloatArray:
         """(n_north, n_east) the same, of the field alone, without a limit."""
         ground = self.mixture.ground
-        return ground.of_field(self.mixture.another_source(rate_hz).sum(axis=0)) / ground.factor**2
+        return ground.of_field(expected_unknown(self.mixture, rate_hz)) / ground.factor**2
 
     def unresolved(self, samples: int, rng: np.random.Generator) -> list[Unresolved]:
         """What is to be listened to again: candidates not found, finds that may be two sources, lie a cell off or have

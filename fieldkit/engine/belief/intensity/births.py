@@ -8,11 +8,14 @@ import numpy as np
 
 from fieldkit.engine.belief.intensity.candidate import Candidate
 from fieldkit.engine.belief.intensity.shadowed import trust
+from fieldkit.engine.belief.intensity.unknown import another_source
 
 if TYPE_CHECKING:
     from fieldkit.engine.belief.intensity.mixture import Mixture, OpenDetection
 
-MOST_STILLBORN = 20
+MOST_STILLBORN = 100
+HARDLY = 1e-4
+"""A detection that a newborn explains so much worse than others do is put before it once it has lasted."""
 AGAIN_AFTER = 1.25
 """Times the detections after which a candidate that did not last is tried again."""
 
@@ -26,9 +29,9 @@ class Born:
     detections: int
 
 
-def birth(mixture: "Mixture") -> bool:
-    """A candidate where one more source explains what was heard better than none; whether there was one."""
-    expected = mixture.another_source(weighed=False)
+def birth(mixture: "Mixture") -> Candidate | None:
+    """A candidate where one more source explains what was heard better than none; None where none does."""
+    expected = another_source(mixture)
     prior = mixture.settings.expected_sources * mixture.ground.sources_a_cell / mixture.model.n_known
     place = np.where(expected > prior, expected, 0.0).sum(axis=0)
     for tried in mixture.stillborn:
@@ -39,7 +42,7 @@ def birth(mixture: "Mixture") -> bool:
         if place[near_it].sum() < mixture.tuning.again_odds * tried.odds and not _much_newer(mixture, tried):
             place[near_it] = 0.0
     if place.sum() < mixture.tuning.birth_odds:
-        return False
+        return None
     row, column = np.unravel_index(int(np.argmax(place)), place.shape)
     level = int(np.argmax(expected[:, row, column]))
     near = place > 1e-4 * place.max()
@@ -57,16 +60,19 @@ def birth(mixture: "Mixture") -> bool:
     for number, stored in mixture.open.items():
         if number in mixture.named or not mixture.in_reach(candidate, stored):
             continue
+        row0, row1, column0, column1 = stored.box
+        if not (row0 <= row < row1 and column0 <= column < column1):
+            continue
+        like = stored.like.at(level, int((row - row0) * (column1 - column0) + column - column0))
+        ratio = rate * like * np.exp(stored.log_scale - mixture.explained[number])
+        if ratio < HARDLY:
+            continue
         # With place noise each is conditioned on those claimed before it: as independent witnesses they would
         # rule out ground that is not to be had back.
         candidate.know(number, mixture.log_likelihood(candidate, number))
-        row0, row1, column0, column1 = stored.box
-        if row0 <= row < row1 and column0 <= column < column1:
-            like = stored.like.at(level, int((row - row0) * (column1 - column0) + column - column0))
-            ratio = rate * like * np.exp(stored.log_scale - mixture.explained[number])
-            candidate.set_responsibility(number, float(ratio / (1.0 + ratio)))
+        candidate.set_responsibility(number, float(ratio / (1.0 + ratio)))
     if candidate.receptions < mixture.tuning.death_receptions:
-        return False
+        return None
     trust(mixture, candidate, mixture.claimed_by(candidate))
     candidate.expose(candidate.exposure_s)
     for number, responsibility in candidate.responsibility.items():
@@ -77,7 +83,7 @@ def birth(mixture: "Mixture") -> bool:
     mixture.candidates.append(candidate)
     at = float(mixture.grid.east_m[column]), float(mixture.grid.north_m[row])
     mixture.born[candidate.ident] = Born(at, float(place.sum()), mixture.next_detection)
-    return True
+    return candidate
 
 
 def _much_newer(mixture: "Mixture", tried: Born) -> bool:
@@ -92,6 +98,9 @@ def remember_births(mixture: "Mixture") -> None:
     """Where a candidate was tried that did not last: else every detection would try again."""
     lived = {candidate.ident for candidate in mixture.candidates}
     gone = [each for ident, each in mixture.born.items() if ident not in lived]
+    for candidate in mixture.candidates:
+        if candidate.ident in mixture.born:
+            know_all(mixture, candidate)
     mixture.stillborn = [*mixture.stillborn, *gone][-MOST_STILLBORN:]
     mixture.born.clear()
 
@@ -160,6 +169,18 @@ def refine(mixture: "Mixture", candidate: Candidate) -> None:
         log = mixture.log_likelihood(candidate, number)
         candidate.know(number, log)
         candidate.evidence += responsibility * log
+
+
+def know_all(mixture: "Mixture", candidate: Candidate) -> None:
+    """Have a candidate know all open detections that it may have sent."""
+    for number, other in mixture.open.items():
+        if number in candidate.logs:
+            continue
+        if candidate.name and other.detection.sender == candidate.name:
+            candidate.know(number, mixture.log_likelihood(candidate, number))
+            candidate.set_responsibility(number, 1.0)
+        elif not candidate.name and number not in mixture.named and mixture.in_reach(candidate, other):
+            candidate.know(number, mixture.log_likelihood(candidate, number))
 
 
 def claim_by_name(mixture: "Mixture", number: int, stored: "OpenDetection", name: str) -> None:

@@ -203,23 +203,27 @@ class Candidate:
         return np.asarray(self.evidence - sum(claimed, start=np.zeros_like(self.evidence)))
 
     def take_in_frozen(self, other: "Candidate") -> None:
-        """Add the marginalised evidence of another, at its points nearest to one's own.
+        """Add what is marginalised of another."""
+        self._count_frozen(other)
+        self._add_frozen(other, other.frozen())
 
-        Points that the other has dropped are as good as impossible to it.
-        """
-        away = np.hypot(
-            self.points_m[:, None, 0] - other.points_m[None, :, 0],
-            self.points_m[:, None, 1] - other.points_m[None, :, 1],
-        )
-        nearest = away.argmin(axis=1)
-        far = away.min(axis=1) > max(self.spacing_m, other.spacing_m)
-        theirs = other.frozen()
-        self.evidence += np.where(
-            far[None], theirs.min(axis=1)[:, None] - NEGLIGIBLE_FROZEN, theirs[:, nearest]
-        )
+    def _count_frozen(self, other: "Candidate") -> None:
         self.frozen_receptions += other.frozen_receptions
         self.log_absent += other.log_absent
         self._receptions = None
+
+    def _add_frozen(self, other: "Candidate", theirs: FloatArray) -> None:
+        """Its marginalised evidence `theirs`, at its points nearest to one's own.
+
+        Points that the other has dropped are as good as impossible to it.
+        """
+        away2 = (self.points_m[:, None, 0] - other.points_m[None, :, 0]) ** 2
+        away2 += (self.points_m[:, None, 1] - other.points_m[None, :, 1]) ** 2
+        nearest = away2.argmin(axis=1)
+        far = away2.min(axis=1) > max(self.spacing_m, other.spacing_m) ** 2
+        self.evidence += np.where(
+            far[None], theirs.min(axis=1)[:, None] - NEGLIGIBLE_FROZEN, theirs[:, nearest]
+        )
 
     def prune(self) -> None:
         """Drop points that are impossible under every power."""
@@ -317,7 +321,7 @@ def merged_gain(
 
     `settle` conditions the detections of one that claims them all on each other, as each of the two has its own:
     else what both heard at one place would count twice against there being one source.
-    -inf where `first` has not got the other's detections at hand.
+    -inf where `first` has not got the other's detections at hand. Where it is at most 0, that is all it says.
     """
     claimed = {
         number: responsibility
@@ -340,7 +344,11 @@ def merged_gain(
         ],
     )
     if second.frozen_receptions > 0.0:
-        both_sent.take_in_frozen(second)
+        theirs = second.frozen()
+        both_sent._count_frozen(second)
+        if settle is None and (most := both_sent.log_evidence() + float(theirs.max()) - apart) <= 0.0:
+            return most  # whatever is nearest to what
+        both_sent._add_frozen(second, theirs)
     if settle is not None:
         settle(both_sent)
     return both_sent.log_evidence() - apart

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldkit.engine.belief.intensity import loops
-from fieldkit.engine.belief.intensity.births import new_candidate
+from fieldkit.engine.belief.intensity.births import know_all, new_candidate
 from fieldkit.engine.belief.intensity.candidate import Candidate, TwoSource
 from fieldkit.engine.belief.intensity.responsibilities import (
     claim_what_moved,
@@ -88,7 +88,7 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
             part.exposure_then_s, part.listened_at = candidate.exposure_then_s, dict(candidate.listened_at)
     mixture.candidates += parts
     for revised in parts:
-        _know_all(mixture, revised)
+        know_all(mixture, revised)
         note_heard(mixture, revised)
     return True
 
@@ -137,17 +137,6 @@ def _discounted(mixture: "Mixture", responsibility: dict[int, float]) -> dict[in
 
 def _mean(candidate: Candidate) -> FloatArray:
     return np.asarray(candidate.posterior().sum(axis=0) @ candidate.points_m)
-
-
-def _know_all(mixture: "Mixture", candidate: Candidate) -> None:
-    for number, other in mixture.open.items():
-        if number in candidate.logs:
-            continue
-        if candidate.name and other.detection.sender == candidate.name:
-            candidate.know(number, mixture.log_likelihood(candidate, number))
-            candidate.set_responsibility(number, 1.0)
-        elif not candidate.name and number not in mixture.named and mixture.in_reach(candidate, other):
-            candidate.know(number, mixture.log_likelihood(candidate, number))
 
 
 def _fresh(

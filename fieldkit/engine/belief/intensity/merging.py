@@ -11,10 +11,14 @@ from fieldkit.engine.belief.intensity.shadowed import settle
 if TYPE_CHECKING:
     from fieldkit.engine.belief.intensity.mixture import Mixture
 
+LITTLE = 0.05
+"""Receptions that change nothing about whether two candidates are one."""
 
-def merge(mixture: "Mixture") -> bool:
-    """Let one candidate speak for two where that explains better what both sent; whether any does."""
-    done = merged = False
+
+def merge(mixture: "Mixture") -> list[Candidate]:
+    """Let one candidate speak for two where that explains better what both sent; those that do."""
+    done = False
+    speak: dict[int, Candidate] = {}
     while not done:
         done = True
         for first in mixture.candidates:
@@ -45,13 +49,18 @@ def merge(mixture: "Mixture") -> bool:
                     keep.listened_at = drop.listened_at | keep.listened_at
                     if drop.last_ns > keep.last_ns:
                         keep.last_ns, keep.exposure_then_s = drop.last_ns, drop.exposure_then_s
+                    if (due := mixture.revise_at.get(drop.ident)) is not None:
+                        # Two that were just made of one, and are one again: not to be divided again at once.
+                        mixture.revise_at.setdefault(keep.ident, due)
                     mixture.remove(drop)
                     mixture.forget_summary(keep)
-                    done, merged = False, True
+                    speak.pop(drop.ident, None)
+                    speak[keep.ident] = keep
+                    done = False
                     break
             if not done:
                 break
-    return merged
+    return list(speak.values())
 
 
 def _one_in_shadow(mixture: "Mixture", first: Candidate, second: Candidate) -> bool:
@@ -67,16 +76,19 @@ def _one_in_shadow(mixture: "Mixture", first: Candidate, second: Candidate) -> b
 
 
 def _may_be_one(mixture: "Mixture", first: Candidate, second: Candidate) -> bool:
-    """Whether enough was heard of two neighbours since they were last found to be two; always without place noise.
+    """Whether anything was heard of two neighbours since they were last found to be two; with place noise, enough.
 
     Conditioning all they claim on each other takes time.
     """
-    if mixture.places is None:
-        return True
     pair, heard = (first.ident, second.ident), first.receptions + second.receptions
-    if heard < mixture.merge_at.get(pair, 0.0):
+    if mixture.places is not None:
+        if heard < mixture.merge_at.get(pair, 0.0):
+            return False
+        mixture.merge_at[pair] = max(heard + 0.9, 1.1 * heard)
+        return True
+    if abs(heard - mixture.merge_at.get(pair, 0.0)) < LITTLE:
         return False
-    mixture.merge_at[pair] = max(heard + 0.9, 1.1 * heard)
+    mixture.merge_at[pair] = heard
     return True
 
 

@@ -12,17 +12,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldkit.engine.belief.intensity import births, hypotheses, loops
-from fieldkit.engine.belief.intensity.arena import Arena, Row, starts
+from fieldkit.engine.belief.intensity import births, hypotheses
+from fieldkit.engine.belief.intensity.arena import Arena, Row
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, summarise
 from fieldkit.engine.belief.intensity.freezing import freeze
 from fieldkit.engine.belief.intensity.ground import ground_of
 from fieldkit.engine.belief.intensity.merging import merge
-from fieldkit.engine.belief.intensity.nuisance import learnt_clutter, shared_sigma_m
-from fieldkit.engine.belief.intensity.responsibilities import Attribution, attribute
-from fieldkit.engine.belief.intensity.shadowed import new_to_say, trust
+from fieldkit.engine.belief.intensity.nuisance import shared_sigma_m
+from fieldkit.engine.belief.intensity.passes import concerned, shares_of, sweep, sweep_again
+from fieldkit.engine.belief.intensity.shadowed import trust
 from fieldkit.engine.belief.intensity.silence import note_heard
-from fieldkit.engine.belief.intensity.unknown import log_unknown_of
 from fieldkit.engine.belief.intensity.watch import Watch, watch_receivers, without_insensitive
 from fieldkit.engine.likelihood import levels_loops
 from fieldkit.engine.likelihood.ears import Ears
@@ -129,6 +128,8 @@ class Mixture:
         self.stay_s = self.tuning.change_s
         self.clutter_frozen = 0.0
         self.next_detection, self._next_ident = 0, 1
+        self.unswept = False
+        """Whether some open detections were left out of the passes since something was heard."""
         self._summaries: dict[int, Summary] = {}
 
     def listen(self, listening: Listening) -> None:
@@ -173,17 +174,17 @@ class Mixture:
 
     def detect(self, detections: Sequence[Detection]) -> None:
         """Take in transmissions: attribute them, and look again at the attribution of the others near them."""
-        for detection in detections:
-            self.now_ns = max(self.now_ns, detection.t_ns)
-            self._open(detection)
+        new = [self._open(detection) for detection in detections]
         for candidate in self.candidates:
             trust(self, candidate, self.claimed_by(candidate))
             candidate.expose(self.exposure_at(candidate.points_m))
-        self.sweep(self.tuning.sweeps)
+        sweep(self, 1, new)
+        sweep_again(self, concerned(self, new))
         for _ in range(1 + len(detections)):
-            if not births.birth(self):
+            born = births.birth(self)
+            if born is None:
                 break
-            self.sweep(self.tuning.sweeps)
+            sweep_again(self, shares_of(born))
         self._settle()
         births.remember_births(self)
         watch_receivers(self, detections)
@@ -195,14 +196,22 @@ class Mixture:
         return robot in self.watch.of and self.watch.of[robot].insensitive
 
     def reflect(self) -> bool | None:
-        """Re-estimate one candidate's hypothesis; whether another was better, None where none was due."""
+        """Re-estimate one candidate's hypothesis; whether another was better, None where none was due.
+
+        Where none is due, what the last passes left alone is looked at.
+        """
         better = hypotheses.revise(self)
         if better:
-            self.sweep(self.tuning.sweeps)
+            sweep(self, 1)
+            sweep_again(self, self.open)
             self._settle()
+        elif better is None and self.unswept:
+            sweep(self, 1)
+            return False
         return better
 
-    def _open(self, detection: Detection) -> None:
+    def _open(self, detection: Detection) -> int:
+        self.now_ns = max(self.now_ns, detection.t_ns)
         number = self.next_detection
         self.next_detection += 1
         named = self.settings.identity == "address" and detection.sender is not None
@@ -213,7 +222,7 @@ class Mixture:
         self.unclaimed[number], self.explained[number] = 1.0, stored.log_clutter
         if named and detection.sender is not None:
             births.claim_by_name(self, number, stored, detection.sender)
-            return
+            return number
         if self.settings.identity == "address" and not self._nameless:
             self._nameless = True
             self.said.append(
@@ -223,6 +232,7 @@ class Mixture:
         for candidate in self.candidates:
             if not candidate.name and self.in_reach(candidate, stored):
                 candidate.know(number, self.log_likelihood(candidate, number))
+        return number
 
     def claimed_by(self, candidate: Candidate) -> list[int]:
         """Open detections that are the candidate's own."""
@@ -283,8 +293,8 @@ class Mixture:
     def _settle(self) -> None:
         if self.places is not None:
             self._condition()
-        if merge(self):
-            self.sweep(1)
+        if kept := merge(self):
+            sweep_again(self, {number for candidate in kept for number in shares_of(candidate)})
         self._prune()
 
     def store(self, number: int, detection: Detection) -> OpenDetection:
@@ -338,44 +348,6 @@ class Mixture:
         )
         return result
 
-    def sweep(self, sweeps: int) -> None:
-        """Attribution of all open detections, from the predictions of the candidates and of the unknown.
-
-        All but the last sweep look only at detections still in doubt or new.
-        """
-        numbers = [number for number in self.open if number not in self.named]
-        log_unknown = log_unknown_of(self, numbers)
-        more = learnt_clutter(self)
-        log_clutter = np.array([self.open[number].log_clutter + more for number in numbers])
-        left = Attribution(
-            np.array([self.unclaimed[number] for number in numbers]),
-            np.array([self.explained[number] for number in numbers]),
-        )
-
-        def mean_exposure_s() -> FloatArray:
-            self._summaries.clear()
-            return np.array([each.mean_exposure_s(each.posterior()) for each in self.candidates])
-
-        attribute(
-            self.arena,
-            self.candidates,
-            numbers,
-            log_unknown,
-            log_clutter,
-            mean_exposure_s,
-            self.tuning.rate_shape,
-            self.rate_prior_s,
-            left,
-            passes=sweeps,
-        )
-        self.unclaimed.update(zip(numbers, left.unclaimed.tolist(), strict=True))
-        self.explained.update(zip(numbers, left.explained.tolist(), strict=True))
-        for candidate in self.candidates:
-            candidate.prune()
-            if births.is_coarse(self, candidate):
-                births.refine(self, candidate)
-                self._summaries.pop(candidate.ident, None)
-
     def summary(self, candidate: Candidate) -> Summary:
         """The candidate's posterior in a few numbers, kept until it changes."""
         if candidate.ident not in self._summaries:
@@ -399,29 +371,6 @@ class Mixture:
             if candidate.wider != wider:
                 candidate.wider = wider
                 self._summaries.pop(candidate.ident, None)
-
-    def another_source(self, rate_hz: float | None = None, *, weighed: bool = True) -> FloatArray:
-        """(known levels, n_north, n_east) expected number of sources of this rate not among the candidates.
-
-        Prior times likelihood ratio: silence lowers it, detections that the candidates explain badly raise it. So
-        it covers unsearched ground, unclaimed detections, and sources that hide behind a found neighbour.
-        """
-        rate_hz = rate_hz or self.settings.reference_rate_hz
-        ratio = np.empty((self.model.n_known, *self.grid.shape))
-        numbers = [number for number in self.open if number not in self.named]
-        stored = [self.open[number] for number in numbers]
-        scale = np.array([s.log_scale for s in stored]) - np.array([self.explained[k] for k in numbers])
-        loops.another_source_llr(
-            self.open_arena.values,
-            starts([s.like for s in stored]),
-            np.array([s.box for s in stored], dtype=np.int64).reshape(-1, 4),
-            rate_hz * np.exp(scale) * (new_to_say(self, numbers) if weighed else 1.0),
-            self.known_exposure_s(),
-            rate_hz,
-            ratio,
-        )
-        prior = self.settings.expected_sources * self.ground.sources_a_cell / self.model.n_known
-        return np.asarray(prior * np.exp(np.minimum(ratio, 50.0)))
 
     def forget_summary(self, candidate: Candidate) -> None:
         """It has changed: what it comes to is to be looked at anew."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldkit.engine.belief.intensity import loops
-from fieldkit.engine.belief.intensity.arena import Arena, starts_table
+from fieldkit.engine.belief.intensity.arena import UNKNOWN, Arena, starts_table
 from fieldkit.engine.belief.intensity.candidate import Candidate, active_entries
 from fieldkit.messages import FloatArray
 
@@ -38,15 +38,18 @@ def attribute(
     left: Attribution,
     *,
     passes: int,
+    least_share: float = 0.0,
 ) -> None:
     """Passes over detections `numbers` (k) of candidates that keep what they know in `arena`.
 
     `log_unknown` and `log_clutter` (k,).
     `mean_exposure_s` gives (candidates,) as it is before each pass. All passes but the last leave alone what one
-    candidate claims beyond doubt.
+    candidate claims beyond doubt. Who has less than `least_share` of a detection keeps it.
     """
     rows, responsibility = known_responsibilities(candidates, numbers)
-    whole = np.ones(len(numbers))
+    little = (rows >= 0) & (responsibility < least_share)
+    rows[little] = UNKNOWN
+    whole = 1.0 - np.where(little, responsibility, 0.0).sum(axis=1)
     for turn in range(passes):
         active, start, post, log_exposure = entries_that_count(candidates)
         before = responsibility.copy()

@@ -33,20 +33,6 @@ def settle(mixture: "Mixture", candidate: Candidate) -> None:
     candidate.expose(candidate.exposure_s)
 
 
-def new_to_say(mixture: "Mixture", numbers: list[int]) -> FloatArray:
-    """(k,) what each open detection counts for another source: 1, or its share where a candidate claims it.
-
-    What a shadow does to a known source's readings nearby is one chance, not as many as there are readings. Silence is
-    taken for one witness there, so that whole detections against it would find sources beside every shadowed one.
-    """
-    weight = dict.fromkeys(numbers, 1.0)
-    if mixture.places is not None:
-        for candidate in mixture.candidates:
-            claimed = mixture.claimed_by(candidate)
-            weight.update(zip(claimed, _share(mixture, claimed).tolist(), strict=True))
-    return np.array([weight[number] for number in numbers])
-
-
 def _share(mixture: "Mixture", numbers: list[int]) -> FloatArray:
     """(k,) of detections of one source; 1 of each that stands alone."""
     spread = mixture.settings.spread
