@@ -14,6 +14,9 @@ more, nobody knows where it is by now. Against it this robot goes a way
   silent at once, and one of them cannot have gone so far, it is the network that was cut and the promise does not
   hold: of those the first two rules hold until they are heard again.
 
+Who comes back into range says where it goes long before its positions have been caught up with. One that stands is
+taken to be where it says; against one that drives the first two rules hold.
+
 Why no two meet: take r1 on a way that r2 has confirmed. What r2 drove when it confirmed stands in that very message,
 and r1 keeps clear of it. Whatever way r2 takes afterwards, by whichever rule, it takes knowing of r1's, and keeps clear
 of all of it until r1 announces another. Where both waited, both know both ways before either goes, and decide alike.
@@ -62,6 +65,8 @@ class SafetyApart(Safety):
     """What others announce."""
     knows: dict[str, int] = field(default_factory=dict)
     """The number of the last way of its own that each other has confirmed."""
+    heard_ns: dict[str, int] = field(default_factory=dict)
+    """When each other was last heard, by the clock of its own robot."""
     beside: tuple[GoTo, ...] = ()
     """Where the plan that it follows sends others at this very moment, before it: they may go, unheard of as yet."""
     unpromised: set[str] = field(default_factory=set)
@@ -96,7 +101,7 @@ class SafetyApart(Safety):
         self._look_at_promise(event.t_ns)
         mine = self.robots[self.me]
         segment = mine.segment() if mine.moving else None
-        reason = "" if segment is None else self._may_meet(segment, event.t_ns)
+        reason = "" if segment is None else self._may_meet(segment, event.t_ns, under_way=True)
         if reason:
             hold = Hold(event.t_ns, self.me, reason)
             self._note(hold)
@@ -105,20 +110,37 @@ class SafetyApart(Safety):
         self._announce_rest(event.t_ns)
         return commands
 
-    def expect(self, robot: str, way: Way | None, knows: int = NO_WAY) -> None:
-        """Another has announced its way, and which of ours it knows."""
+    def expect(self, robot: str, way: Way | None, knows: int = NO_WAY, heard_ns: int | None = None) -> None:
+        """Another has announced its way, and which of ours it knows; it was last heard at `heard_ns` of our clock."""
         other = self.robots[robot]
         self.knows[robot] = knows
+        if heard_ns is not None:
+            self.heard_ns[robot] = heard_ns
         if way is None:
             return
         self.ways[robot] = way
         if way.waits or way.start_m == way.end_m:  # announced only once it stands
             other.stop()
             other.fading = None
+            self._stands(other, way)
         elif way.speed_m_s == 0.0:  # told to stop: it may stand already, or roll on
             self._stops(other, way)
-        elif other.place_m is not None and (other.target is None or other.target.end_m != way.end_m):
-            other.send(Segment(other.place_m, way.end_m, max(way.speed_m_s, 0.01)), other.now_ns)
+        elif other.place_m is not None:
+            segment = Segment(other.place_m, way.end_m, max(way.speed_m_s, 0.01))
+            known = other.target
+            if known is None or (known.end_m, known.speed_m_s) != (segment.end_m, segment.speed_m_s):
+                other.send(segment, other.now_ns)
+
+    def _stands(self, other: Watched, way: Way) -> None:
+        """It stands where it says, where the positions known of it are old."""
+        heard_ns, pose = self.heard_ns.get(other.name), other.pose
+        if heard_ns is None or pose is None:
+            return
+        if (heard_ns - pose.t_ns) * 1e-9 > self.settings.pose_timeout_s:
+            east_m, north_m = way.start_m
+            sigma_m = math.hypot(pose.sigma_m, MOVED_SHARE * self.settings.near_m / 3.0)
+            other.pose = replace(pose, t_ns=heard_ns, east_m=east_m, north_m=north_m, sigma_m=sigma_m)
+            other.velocity_m_s = other.pace_m_s = (0.0, 0.0)
 
     def _stops(self, other: Watched, way: Way) -> None:
         """Another was told to stop on its way: said at every tick until it stands."""
@@ -161,7 +183,8 @@ class SafetyApart(Safety):
             return reason
         reason = self._may_meet(segment, now_ns)
         if not reason:
-            if not is_announced or (self.way is not None and self.way.waits):
+            way = self.way
+            if way is None or not is_announced or way.waits or way.speed_m_s != segment.speed_m_s:
                 self._announce(segment, now_ns, waits=False, anew=not is_announced)
             return ""
         if is_announced:
@@ -257,7 +280,11 @@ class SafetyApart(Safety):
         place_m, settings = self.robots[self.me].place_m, self.settings
         if self.contact_m is None or place_m is None:
             return
-        silent_s = {name: self._age_s(other, now_ns) for name, other, _ in self._others()}
+        silent_s = {
+            name: self._age_s(other, now_ns)
+            for name, other, _ in self._others()
+            if not self._speaks(name, now_ns)
+        }
         silent_s = {name: age_s for name, age_s in silent_s.items() if age_s > settings.pose_timeout_s}
         self.unpromised &= silent_s.keys()
         for name, _, theirs_m in self._others():
@@ -269,22 +296,28 @@ class SafetyApart(Safety):
             if in_range and len(together) > 1:
                 self.unpromised |= together
 
-    def _may_meet(self, segment: Segment, now_ns: int) -> str:
-        """Which robot that is heard late, or not, may be on this path or come onto it; empty where none can."""
-        settings = self.settings
+    def _speaks(self, name: str, now_ns: int) -> bool:
+        """Whether it is heard now, however old what is known of its positions."""
+        heard_ns = self.heard_ns.get(name)
+        return heard_ns is not None and (now_ns - heard_ns) * 1e-9 <= self.settings.pose_timeout_s
+
+    def _may_meet(self, segment: Segment, now_ns: int, *, under_way: bool = False) -> str:
+        """Which robot that is heard or seen late, or not, may be on this path or come onto it; empty where none can."""
+        settings, promised = self.settings, self.contact_m is not None
         is_announced = self.way is not None and math.dist(self.way.end_m, segment.end_m) <= SAME_END_M
         for name, other, place_m in self._others():
-            silent_s = self._age_s(other, now_ns)
+            silent_s, speaks = self._age_s(other, now_ns), self._speaks(name, now_ns)
             if silent_s <= settings.pose_timeout_s or (
-                self.contact_m is not None and name not in self.unpromised
+                promised and not speaks and name not in self.unpromised
             ):
                 continue
+            last = f"{name} was last {'seen' if speaks else 'heard'} {silent_s:.0f} s ago"
             if ever_m(segment, standing(place_m)) >= settings.max_speed_m_s * silent_s + self._clear_m:
                 continue
             if not self._is_clear(segment, other, place_m):
-                return f"{name} was last heard {silent_s:.0f} s ago, and may be on its path"
+                return f"{last}, and may be on its path"
+            if promised and speaks and under_way:
+                continue  # back in range: it learns of this way with the next words
             if not is_announced or self.way is None or self.knows.get(name, NO_WAY) != self.way.number:
-                return (
-                    f"{name} was last heard {silent_s:.0f} s ago, and has not confirmed to keep off its path"
-                )
+                return f"{last}, and has not confirmed to keep off its path"
         return ""
