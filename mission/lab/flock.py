@@ -121,7 +121,7 @@ class Flock:
             for agent in living:
                 note_covered(agent.line.kernel, self.truth, self.world.t_s, covered)
             oldest_s = max(oldest_s, *(self.lag_s(name) for name in self.agents if name not in self.lost))
-            nearest_m = min(nearest_m, self._nearest_m())
+            nearest_m = min(nearest_m, self.nearest_m())
             if merged_s is None and self.world.t_s >= self.air.cut_s[1]:
                 end_tick = (START_NS + round(self.air.cut_s[1] * 1e9)) // round(given.TICK_S * 1e9)
                 if all(agent.logs.checkpoint() >= end_tick for agent in living):
@@ -257,7 +257,8 @@ class Flock:
             return 0.0
         return (self.now_ns(name) // round(given.TICK_S * 1e9) - agent.common.horizon) * given.TICK_S
 
-    def _nearest_m(self) -> float:
+    def nearest_m(self) -> float:
+        """How near the two robots are now that are nearest to each other."""
         places = [(rover.east_m, rover.north_m) for rover in self.world.rovers.values()]
         return min((math.dist(a, b) for a, b in combinations(places, 2)), default=math.inf)
 

@@ -13,6 +13,7 @@ def test_a_trial_by_agents_says_how_far_they_agree() -> None:
     row = trial(Job("dprwa-agents-fig3b", "agents", 4, 3), cap_s=20.0)
     assert row["value"] is None and row["simulated_s"] == 20.0
     assert row["same_belief"] and row["rings"] == row["rings_alike"] == 1 and row["ordered_too_near"] == 0
+    assert 0.3 < row["nearest_m"] <= 1.6, "they start 1.6 m apart"
     assert row["mean_lag_s"] > 0.0 and 50.0 < row["most_bytes_s"] < 1_400.0
 
 

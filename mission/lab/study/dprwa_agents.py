@@ -49,6 +49,8 @@ class Watch:
     near: list[np.ndarray]
     """The cells round each source."""
     range_m: float
+    nearest_m: float = math.inf
+    """The least distance between two robots."""
     most_held: int = 0
     lag_s: list[float] = field(default_factory=list)
     met: list[tuple[float, Team, Team]] = field(default_factory=list)
@@ -104,6 +106,7 @@ class Watch:
             "rings": len(self.rings),
             "rings_alike": sum(len(ends) == 1 for ends in self.rings.values()),
             "same_belief": flock.agrees(),
+            "nearest_m": self.nearest_m,
             "ordered_too_near": flock.too_near.orders,
             "could_be_known": flock.too_near.could_be_known,
             "simulated_s": flock.world.t_s,
@@ -152,6 +155,7 @@ def trial(job: Job, cap_s: float = CAP_S) -> dict[str, Any]:
     while time_s is None and team.world.t_s < cap_s:
         for _ in range(round(LOOK_S / team.world.step_s)):
             team.step()
+            watch.nearest_m = min(watch.nearest_m, team.nearest_m())
         time_s = team.world.t_s if watch.look() else None
     row = watch.told(time_s)
     if study == "dprwa-fig3a":
