@@ -86,6 +86,22 @@ def test_a_quiet_watch_still_says_alarms(capsys: pytest.CaptureFixture[str]) -> 
     assert "ALARM: r1 has not shown" in said and "found source" not in said
 
 
+def test_an_alarm_that_comes_again_is_said_again(capsys: pytest.CaptureFixture[str]) -> None:
+    console.be_quiet(True)
+    late = "r1 has not shown for {} s that it holds"
+    seen = ((late.format(2),), (late.format(3), "r2 is lost"), (), (late.format(2),), (late.format(3),))
+    with Watch() as watch:
+        for k, alarms in enumerate(seen):
+            progress: Any = SimpleNamespace(elapsed_s=float(k), alarms=alarms, notes=())
+            watch.show(progress)
+    said = [line.split(" s  ", 1) for line in capsys.readouterr().err.splitlines()]
+    assert [(int(at_s), word) for at_s, word in said] == [
+        (0, f"ALARM: {late.format(2)}"),
+        (1, "ALARM: r2 is lost"),
+        (3, f"ALARM: {late.format(2)}"),
+    ]
+
+
 def test_a_line_of_a_mission_says_why_a_robot_is_held_and_is_not_broken(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

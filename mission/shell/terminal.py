@@ -42,6 +42,7 @@ class Watch:
         self._unsaid: Progress | None = None
         """The latest state, where its line has not been due."""
         self._alarmed: set[str] = set()
+        """What stands: an alarm that has passed and comes again is a new one."""
         self._around = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
@@ -62,12 +63,13 @@ class Watch:
 
     def show(self, progress: Progress) -> None:
         """Take in the state after a tick."""
-        for alarm in progress.alarms:
-            name = alarm.split(" for ")[0]  # a number that grows is no new alarm
+        # A number that grows is no new alarm.
+        alarms = {alarm.split(" for ")[0]: alarm for alarm in progress.alarms}
+        for name, alarm in alarms.items():
             if name not in self._alarmed and not self._live.is_started:
                 line = f"{progress.elapsed_s:6.0f} s  ALARM: {alarm}"
                 self._trouble.print(line, style="bold red", markup=False, soft_wrap=True)
-            self._alarmed.add(name)
+        self._alarmed = set(alarms)
         if self._console.quiet:
             return
         for note in progress.notes:
