@@ -7,7 +7,8 @@ the event loop and wait for nothing.
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Mapping
+import re
+from collections.abc import AsyncIterator, Iterable, Mapping
 from types import TracebackType
 from typing import Any, Self
 
@@ -17,6 +18,10 @@ from fieldkit.ports import DriverContext
 
 GREETINGS = "fieldkit/who-is-here"
 """Where all missions say who they are: those of two keys, which hear nothing else of each other, learn of it."""
+WITH_PORT = ("tcp", "udp", "tls", "quic", "ws")
+"""Protocols whose addresses are HOST:PORT."""
+ENTRY_POINTS = {"listen": "tcp/0.0.0.0:7447", "connect": "tcp/192.168.1.11:7447"}
+"""Options that are addresses, and an example of each."""
 MOST_WAITING = 1_000
 """Messages that wait for the event loop; the oldest go first."""
 
@@ -28,12 +33,42 @@ def open_network(topic: str, options: Mapping[str, Any], around: DriverContext) 
         raise ConfigError(
             f"network zenoh: no option {', '.join(sorted(unknown))}; there are: listen, connect, scouting"
         )
-    return ZenohNetwork(
-        topic,
-        tuple(options.get("listen", ())),
-        tuple(options.get("connect", ())),
-        bool(options.get("scouting", True)),
-    )
+    listen, connect = (_addresses(options.get(name, ()), name) for name in ENTRY_POINTS)
+    return ZenohNetwork(topic, listen, connect, bool(options.get("scouting", True)))
+
+
+def _addresses(given: Iterable[str], option: str) -> tuple[str, ...]:
+    """Each once. Raises `ConfigError` for one that Zenoh would not take, or would take and never reach."""
+    for address in given:
+        if not _may_be_one(address, least_port=0 if option == "listen" else 1):
+            raise ConfigError(
+                f"--{option}: expected PROTOCOL/HOST:PORT, such as {ENTRY_POINTS[option]}, got {address!r}"
+            )
+    return tuple(dict.fromkeys(given))
+
+
+def _may_be_one(address: str, least_port: int) -> bool:
+    protocol, separator, place = address.partition("/")
+    if protocol not in WITH_PORT:
+        return bool(re.fullmatch("[a-z0-9-]+", protocol) and separator and place)
+    host, _, port = re.split("[?#]", place)[0].rpartition(":")
+    is_named = bool(host) and "/" not in host and (":" not in host or host.endswith("]"))
+    return is_named and port.isascii() and port.isdecimal() and least_port <= int(port) <= 65535
+
+
+def _why(error: Exception) -> str:
+    """What kept Zenoh from opening, without where in its own code that was, and what to do."""
+    text = re.sub(r" at \S+\.rs:\d+\.?", "", str(error))
+    lower = text.lower()
+    if "in use" in lower:
+        what = "another agent, or another program, listens there: give --listen another port, or end that one"
+    elif "assign requested address" in lower:
+        what = f"this computer has no such address: --listen {ENTRY_POINTS['listen']} takes all that it has"
+    elif "not supported for" in lower:
+        what = f"fieldkit's Zenoh has no such protocol; there are: {', '.join(WITH_PORT)}, unixsock-stream"
+    else:
+        what = "is an address wrong?"
+    return f"network zenoh: cannot be opened ({text}); {what}"
 
 
 class ZenohNetwork:
@@ -55,9 +90,7 @@ class ZenohNetwork:
         try:
             self._session = await loop.run_in_executor(None, zenoh.open, self._config(zenoh))
         except zenoh.ZError as error:
-            raise DeviceError(
-                f"network zenoh: cannot be opened ({error}); is an address wrong, or in use?"
-            ) from error
+            raise DeviceError(_why(error)) from error
         self._urgent = self._publisher(zenoh, self._key, zenoh.Priority.REAL_TIME, express=True)
         self._ordinary = self._publisher(zenoh, self._key, zenoh.Priority.DATA, express=False)
         self._greetings = self._publisher(zenoh, GREETINGS, zenoh.Priority.DATA, express=False)

@@ -89,11 +89,56 @@ async def test_messages_end_when_the_network_is_closed() -> None:
     network.publish(b"into the void")
 
 
-async def test_an_address_that_is_none_is_said_in_words() -> None:
-    for options in ({"listen": ["tcp/256.0.0.1:1"]}, {"listen": ["nonsense"]}, {"connect": ["nonsense"]}):
-        wrong = open_network("here", {**options, "scouting": False}, AROUND)
-        with pytest.raises(DeviceError, match="is an address wrong"):
-            await wrong.__aenter__()
+async def why(**options: list[str]) -> str:
+    """What is said of a network that cannot be opened, on one line."""
+    with pytest.raises(DeviceError) as caught:
+        await open_network("here", {**options, "scouting": False}, AROUND).__aenter__()
+    return str(caught.value)
+
+
+async def test_what_cannot_be_opened_is_said_in_words_and_with_nothing_of_zenohs_code() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        in_use = await why(listen=[f"tcp/127.0.0.1:{port}"])
+    elsewhere = await why(listen=["tcp/192.0.2.1:7447"])
+    no_number, unknown = await why(listen=["tcp/256.0.0.1:1"]), await why(connect=["carrier/pigeon"])
+    assert f"127.0.0.1:{port}" in in_use and "give --listen another port" in in_use
+    assert "this computer has no such address: --listen tcp/0.0.0.0:7447" in elsewhere
+    assert "is an address wrong" in no_number and "no such protocol; there are: tcp, udp" in unknown
+    for said in (in_use, elsewhere, no_number, unknown):
+        assert ".rs" not in said and "/root/" not in said, said
+
+
+NONE = ["nonsense", "", "192.168.1.11:7447", "tcp/192.168.1.11", "tcp/:7447", "tcp://192.168.1.11:7447",
+        "tcp/192.168.1.11:port", "tcp/192.168.1.11:65536", "udp/::1:7447", "/7447", "tcp/"]  # fmt: skip
+
+
+@pytest.mark.parametrize("option", ["listen", "connect"])
+@pytest.mark.parametrize("address", NONE)
+def test_an_address_that_would_never_be_reached_is_refused_before_anything_is_opened(
+    option: str, address: str
+) -> None:
+    with pytest.raises(ConfigError, match=f"--{option}: expected PROTOCOL/HOST:PORT, such as tcp/.* got"):
+        open_network("here", {option: [address]}, AROUND)
+
+
+def test_any_free_port_is_for_those_who_listen() -> None:
+    open_network("here", {"listen": ["tcp/0.0.0.0:0"]}, AROUND)
+    with pytest.raises(ConfigError, match="--connect: expected"):
+        open_network("here", {"connect": ["tcp/192.168.1.11:0"]}, AROUND)
+
+
+async def test_an_address_that_is_given_twice_is_listened_on_once() -> None:
+    address = f"tcp/127.0.0.1:{free_port()}"
+    async with open_network("here", {"listen": [address, address], "scouting": False}, AROUND):
+        pass
+
+
+def test_addresses_that_zenoh_takes_are_taken() -> None:
+    taken = ["tcp/[::1]:7447", "tcp/r1.local:65535", "udp/10.0.0.1:1#iface=wlan0", "unixsock-stream//tmp/r1"]
+    assert all(address in open_network("here", {"connect": taken}, AROUND).where for address in taken)
 
 
 def test_an_unknown_option_is_named() -> None:
