@@ -224,7 +224,7 @@ class Flock:
             self.safety[name].observe(event)
         agent.fresh.clear()
         for other, peer in agent.talk.peers.items():
-            self.safety[name].expect(other, peer.way, peer.knows, peer.heard_ns)
+            self.safety[name].expect(other, peer.way, peer.knows, peer.heard_ns, peer.said_ns)
 
     def _observe(self, name: str, event: Event) -> None:
         """What a robot's own devices say, by its own clock."""

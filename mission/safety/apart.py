@@ -110,8 +110,18 @@ class SafetyApart(Safety):
         self._announce_rest(event.t_ns)
         return commands
 
-    def expect(self, robot: str, way: Way | None, knows: int = NO_WAY, heard_ns: int | None = None) -> None:
-        """Another has announced its way, and which of ours it knows; it was last heard at `heard_ns` of our clock."""
+    def expect(
+        self,
+        robot: str,
+        way: Way | None,
+        knows: int = NO_WAY,
+        heard_ns: int | None = None,
+        said_ns: int | None = None,
+    ) -> None:
+        """Another has announced its way, and which of ours it knows.
+
+        It was last heard at `heard_ns` of our clock, and said so at `said_ns` of its own.
+        """
         other = self.robots[robot]
         self.knows[robot] = knows
         if heard_ns is not None:
@@ -122,7 +132,7 @@ class SafetyApart(Safety):
         if way.waits or way.start_m == way.end_m:  # announced only once it stands
             other.stop()
             other.fading = None
-            self._stands(other, way)
+            self._stands(other, way, said_ns)
         elif way.speed_m_s == 0.0:  # told to stop: it may stand already, or roll on
             self._stops(other, way)
         elif other.place_m is not None:
@@ -131,15 +141,18 @@ class SafetyApart(Safety):
             if known is None or (known.end_m, known.speed_m_s) != (segment.end_m, segment.speed_m_s):
                 other.send(segment, other.now_ns)
 
-    def _stands(self, other: Watched, way: Way) -> None:
-        """It stands where it says, where the positions known of it are old."""
-        heard_ns, pose = self.heard_ns.get(other.name), other.pose
-        if heard_ns is None or pose is None:
+    def _stands(self, other: Watched, way: Way, said_ns: int | None) -> None:
+        """It stood where it says when it said so, where the positions known of it are older.
+
+        Not where words come late: it may have set out since.
+        """
+        heard_ns, pose, holds_s = self.heard_ns.get(other.name), other.pose, self.settings.pose_timeout_s
+        if heard_ns is None or said_ns is None or pose is None or (heard_ns - said_ns) * 1e-9 > holds_s:
             return
-        if (heard_ns - pose.t_ns) * 1e-9 > self.settings.pose_timeout_s:
+        if (said_ns - pose.t_ns) * 1e-9 > holds_s:
             east_m, north_m = way.start_m
             sigma_m = math.hypot(pose.sigma_m, MOVED_SHARE * self.settings.near_m / 3.0)
-            other.pose = replace(pose, t_ns=heard_ns, east_m=east_m, north_m=north_m, sigma_m=sigma_m)
+            other.pose = replace(pose, t_ns=said_ns, east_m=east_m, north_m=north_m, sigma_m=sigma_m)
             other.velocity_m_s = other.pace_m_s = (0.0, 0.0)
 
     def _stops(self, other: Watched, way: Way) -> None:

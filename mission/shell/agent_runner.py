@@ -146,7 +146,7 @@ class AgentRunner(Runner):
 
     def _expect(self) -> None:
         for name, peer in self.crew.agent.talk.peers.items():
-            self._apart.expect(name, peer.way, peer.knows, peer.heard_ns)
+            self._apart.expect(name, peer.way, peer.knows, peer.heard_ns, peer.said_ns)
 
     @property
     def _apart(self) -> SafetyApart:

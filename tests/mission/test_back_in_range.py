@@ -22,7 +22,7 @@ def back(way: Way, seen_m: tuple[float, float] = (9.0, 9.0)) -> SafetyApart:
         safety.observe(VehicleState(START_NS, name, "guided", True))
         safety.observe(Pose(START_NS, name, *place, sigma_m=0.03))
     tick(safety, AWAY_S)
-    safety.expect("r2", way, -1, at_ns(AWAY_S))
+    safety.expect("r2", way, -1, at_ns(AWAY_S), at_ns(AWAY_S))
     return safety
 
 
@@ -62,7 +62,7 @@ def test_old_positions_that_are_caught_up_with_do_not_put_it_back() -> None:
     standing = Way(7, (3.0, 1.0), (3.0, 1.0))
     safety = back(standing)
     safety.observe(Pose(at_ns(20.0), "r2", 8.0, 7.0, sigma_m=0.03))
-    safety.expect("r2", standing, -1, at_ns(AWAY_S + 0.5))
+    safety.expect("r2", standing, -1, at_ns(AWAY_S + 0.5), at_ns(AWAY_S + 0.5))
     assert isinstance(ask(safety, AWAY_S + 0.5, 5.0, 1.0), Hold)
 
 
@@ -74,7 +74,7 @@ def test_the_way_of_one_under_way_is_kept_clear_and_a_new_way_is_confirmed_first
     beside = ask(safety, AWAY_S, 1.0, 4.0)
     assert isinstance(beside, Hold) and "has not confirmed" in beside.reason
     assert safety.way is not None and safety.way.waits
-    safety.expect("r2", drives, safety.way.number, at_ns(AWAY_S + 1.0))
+    safety.expect("r2", drives, safety.way.number, at_ns(AWAY_S + 1.0), at_ns(AWAY_S + 1.0))
     assert isinstance(ask(safety, AWAY_S + 1.0, 1.0, 4.0), GoTo)
 
 
@@ -82,9 +82,9 @@ def test_one_under_way_goes_on_past_somebody_who_comes_into_range_and_holds_befo
     safety = back(Way(7, (9.0, 9.0), (9.0, 9.0)))
     assert isinstance(ask(safety, AWAY_S, 5.0, 1.0), GoTo)
     assert tick(safety, AWAY_S + 3.0) == []
-    safety.expect("r2", Way(8, (9.0, 9.0), (9.0, 4.0), 0.4), -1, at_ns(AWAY_S + 3.0))
+    safety.expect("r2", Way(8, (9.0, 9.0), (9.0, 4.0), 0.4), -1, at_ns(AWAY_S + 3.0), at_ns(AWAY_S + 3.0))
     assert tick(safety, AWAY_S + 3.5) == []
-    safety.expect("r2", Way(9, (9.0, 4.0), (2.0, 0.5), 0.4), -1, at_ns(AWAY_S + 3.5))
+    safety.expect("r2", Way(9, (9.0, 4.0), (2.0, 0.5), 0.4), -1, at_ns(AWAY_S + 3.5), at_ns(AWAY_S + 3.5))
     (held,) = tick(safety, AWAY_S + 4.0)
     assert isinstance(held, Hold)
 
@@ -109,6 +109,16 @@ def test_another_speed_that_is_said_is_believed() -> None:
     safety = back(Way(7, (9.0, 9.0), (9.0, 9.0)))
     for number, speed_m_s in ((1, 0.15), (1, 0.4)):
         safety.observe(Pose(at_ns(AWAY_S), "r2", 9.0, 9.0, sigma_m=0.03))
-        safety.expect("r2", Way(number, (9.0, 9.0), (9.0, 4.0), speed_m_s), -1, at_ns(AWAY_S))
+        safety.expect("r2", Way(number, (9.0, 9.0), (9.0, 4.0), speed_m_s), -1, at_ns(AWAY_S), at_ns(AWAY_S))
         target = safety.robots["r2"].target
         assert target is not None and math.isclose(target.speed_m_s, speed_m_s)
+
+
+def test_words_that_come_late_do_not_say_where_it_stands_now() -> None:
+    safety = back(Way(7, (9.0, 9.0), (9.0, 9.0)))
+    said = Way(8, (3.0, 4.0), (3.0, 4.0))
+    safety.expect("r2", said, -1, at_ns(AWAY_S + 5.0), at_ns(AWAY_S))
+    place_m = safety.robots["r2"].place_m
+    assert place_m == (9.0, 9.0), "it may have set out in the five seconds since"
+    safety.expect("r2", said, -1, at_ns(AWAY_S + 5.0), at_ns(AWAY_S + 4.0))
+    assert safety.robots["r2"].place_m == (3.0, 4.0)
