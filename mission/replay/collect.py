@@ -7,6 +7,7 @@ the last moment that anybody knew of. What agents wrote down that they believed 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -217,22 +218,40 @@ def _result_beside(journal: Path) -> dict[str, Any] | None:
 def lay_together(known: Sequence[Logs], robots: tuple[str, ...]) -> tuple[Logs, list[str]]:
     """All logs as far as anybody knew them; where two have another observation under one number, in words.
 
-    Of two that contradict, the one that more agents have is kept, then the longer one.
+    Of two that contradict, the one that more agents have is kept, then the longer one. One that is the beginning of
+    another contradicts none: whoever left early knew no more.
     """
     whole, words = Logs(robots[0], robots), []
     for key in Logs.keys(robots):
-        versions = [logs.entries[key] for logs in known]
-        best = max(versions, key=lambda log: (sum(_agree(log, other) for other in versions), len(log)))
+        best, alike = _kept([logs.entries[key] for logs in known])
         whole.entries[key] = best
-        agreeing = [logs for logs in known if _agree(best, logs.entries[key])]
+        agreeing = [logs for logs, is_alike in zip(known, alike, strict=True) if is_alike]
         whole.closed[key] = max((logs.closed[key] for logs in agreeing), default=NEVER)
         if len(agreeing) < len(known):
             others = [logs.me or NO_ROBOT for logs in known if logs not in agreeing]
             words.append(
                 f"{key[0]}'s log of {key[1].name.lower()} is another one in the journal of {', '.join(others)}: were "
-                f"there two agents for {key[0]}? The one that more agents have is kept"
+                f"there two agents for {key[0]}, or was it ended and started again where nobody knew all of its log? "
+                f"The one that more agents have is kept"
             )
     return whole, words
+
+
+def _kept(versions: Sequence[Log]) -> tuple[Log, list[bool]]:
+    """The version of one log that is kept, and whether each of them agrees with it."""
+    agree = [[True] * len(versions) for _ in versions]
+    for one, other in combinations(range(len(versions)), 2):
+        agree[one][other] = agree[other][one] = _agree(versions[one], versions[other])
+
+    def rank(number: int) -> tuple[bool, int, int]:
+        size = len(versions[number])
+        goes_on = any(
+            alike and len(version) > size for alike, version in zip(agree[number], versions, strict=True)
+        )
+        return not goes_on, sum(agree[number]), size
+
+    best = max(range(len(versions)), key=rank)
+    return versions[best], agree[best]
 
 
 def _agree(one: Log, other: Log) -> bool:

@@ -232,4 +232,16 @@ def test_of_logs_that_contradict_the_one_is_taken_that_more_have() -> None:
     whole, words = lay_together([heard("r1", -50), heard("r2", -70, -71, -72), heard("r1", -50, -51)], ROBOTS)
     assert levels(whole) == [-50.0, -51.0]
     (said,) = words
-    assert "r2's log of heard is another one in the journal of r2: were there two agents for r2?" in said
+    assert (
+        "r2's log of heard is another one in the journal of r2: were there two agents for r2, or was it ended"
+        in said
+    )
+
+
+def test_whoever_left_before_logs_went_apart_has_no_say_in_which_is_kept() -> None:
+    first, again, others = heard("r2", -50, -51), heard("r2", -50, -61, -62), heard("r1", -50, -61)
+    for early in (heard("", -50), heard("")):
+        whole, words = lay_together([early, first, again, early, others], ROBOTS)
+        assert levels(whole) == [-50.0, -61.0, -62.0] and len(words) == 1
+    whole, _ = lay_together([heard(""), heard("r2", -50), heard("r2", -70, -71)], ROBOTS)
+    assert levels(whole) == [-70.0, -71.0], "of as many the longer one"
