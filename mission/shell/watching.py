@@ -28,7 +28,7 @@ from mission.shell.alarms import late_stops, unrecorded
 from mission.shell.chronicle import Chronicle
 from mission.shell.intake import end_tasks
 from mission.shell.journal import RESUME_WITHIN_S, Journal
-from mission.shell.member import Member
+from mission.shell.member import CARD_EVERY_S, Member
 from mission.shell.others import ORDERED
 from mission.shell.progress import Progress
 from mission.shell.recorder import Look, MissionRecorder
@@ -211,10 +211,18 @@ class Watching:
 
     async def _speak(self) -> None:
         """At every tick: what is new goes to the journal, and then to the others."""
+        began_s, has_looked = self.clock.elapsed_s(), False
         while True:
             self._member.speak(self.watcher.messages)
             self._member.mind_contact()
             self._pass(self.clock.now_ns())
+            # Whoever is in reach has said by then who it is.
+            if not has_looked and self.clock.elapsed_s() - began_s > CARD_EVERY_S:
+                has_looked = True
+                if not self.watcher.talk.peers:
+                    self._say(
+                        f"no robot's agent is heard yet (looked {self.network.where}): it goes on looking"
+                    )
             await self.clock.sleep(TICK_S)
 
     def _pass(self, now_ns: int) -> None:

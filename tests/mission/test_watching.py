@@ -241,6 +241,21 @@ def test_an_order_given_where_nobody_is_in_reach_goes_to_the_first_who_is_met_an
     two(tmp_path, act, duration_s=60.0, air=Air(range_m=100.0))
 
 
+def test_a_laptop_that_hears_nobody_says_so_once_and_where_it_looked(tmp_path: Path) -> None:
+    async def act(team: dict[str, Robot]) -> None:
+        flights = asyncio.create_task(both(team))
+        r1, near, far = team["r1"], Laptop(team), Laptop(team, "tablet", (500.0, 0.0))
+        watching = [asyncio.create_task(laptop.watch()) for laptop in (near, far)]
+        await r1.clock.sleep(20.0)
+        nobody = f"no robot's agent is heard yet (looked {far.network.where}): it goes on looking"
+        assert far.said().count(nobody) == 1 and "is heard yet" not in near.said()
+        for laptop in (near, far):
+            laptop.order("end")
+        await asyncio.gather(*watching, flights)
+
+    two(tmp_path, act, duration_s=25.0, air=Air(range_m=100.0))
+
+
 def test_what_one_robot_cannot_hear_from_the_other_the_laptop_carries(tmp_path: Path) -> None:
     """The robots are out of each other's reach; a hold at r1's terminal reaches r2 in the laptop's hands."""
 
