@@ -181,6 +181,8 @@ class Agent:
 
     def step(self, event: Event) -> Outcome:
         """Take in what its own robot or its operator says, or let time pass; what follows for its own robot."""
+        if isinstance(event, VehicleState) and event.robot == self.me:
+            self.talk.reaches_vehicle = event.link_up
         match event:
             case Tick():
                 return self._tick(event.t_ns)

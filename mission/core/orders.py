@@ -29,6 +29,8 @@ class Orders:
     _where: dict[Operator, dict[str, int]] = field(default_factory=dict)
     """Order to the robots in whose logs it stands, and its number there."""
     _vehicles: dict[str, VehicleState] = field(default_factory=dict)
+    _stood_ns: dict[str, int] = field(default_factory=dict)
+    """When each vehicle last said that it holds."""
     _latest_ns: int = 0
 
     def give(self, order: Operator) -> Operator:
@@ -92,6 +94,8 @@ class Orders:
 
     def see(self, state: VehicleState) -> None:
         """A vehicle's state, from its robot's log: of one out of reach there is no other word."""
+        if _holds(state):
+            self._stood_ns[state.robot] = max(state.t_ns, self._stood_ns.get(state.robot, 0))
         before = self._vehicles.get(state.robot)
         if before is None or state.t_ns >= before.t_ns:
             self._vehicles[state.robot] = state
@@ -112,7 +116,10 @@ class Orders:
         return {robot: (order, self._has_shown(robot, order)) for robot, order in self._last.items()}
 
     def unheld(self) -> dict[str, Operator]:
-        """Robots that are to hold and have not shown it, and by which order."""
+        """Robots that are to hold and have not shown it, and by which order.
+
+        An agent's word counts for nothing where it has lost its vehicle, unless that one held since the order.
+        """
         return {
             robot: order
             for robot, (order, shown) in self.standing().items()
@@ -121,8 +128,15 @@ class Orders:
 
     def _has_shown(self, robot: str, order: Operator) -> bool:
         vehicle = self._vehicles.get(robot)
-        stands = vehicle is not None and vehicle.mode == "hold" and vehicle.t_ns > order.t_ns
-        return robot in self._shown or (order.action == "hold" and stands)
+        if vehicle is None or order.action != "hold":
+            return robot in self._shown
+        if robot not in self._shown:
+            return _holds(vehicle) and vehicle.t_ns > order.t_ns
+        return vehicle.link_up or self._stood_ns.get(robot, 0) > order.t_ns
 
     def _meant(self, order: Operator) -> Iterator[str]:
         return (robot for robot in self.robots if order.robot in (None, robot))
+
+
+def _holds(vehicle: VehicleState) -> bool:
+    return vehicle.mode == "hold" and vehicle.link_up

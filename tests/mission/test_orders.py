@@ -120,6 +120,24 @@ def test_who_is_to_hold_has_shown_it_by_its_word_its_log_or_its_vehicle() -> Non
     assert orders.withdrawn_ns() == START_NS + 31 * S
 
 
+def test_an_agents_word_does_not_count_where_it_has_lost_its_vehicle() -> None:
+    orders = Orders(ROBOTS)
+    orders.see(replace(state("r1", "other", 9.0), link_up=False))
+    hold = orders.give(order("hold", at_s=10.0))
+    for robot in ROBOTS:
+        orders.read(hold, robot, 0)
+        orders.obeyed(robot, code_of(hold))
+    assert set(orders.unheld()) == {"r1"}
+    orders.see(replace(state("r1", "hold", 12.0), link_up=False))
+    assert set(orders.unheld()) == {"r1"}, "that is what was last heard of it"
+    orders.see(state("r1", "hold", 13.0))
+    assert not orders.unheld()
+    orders.see(replace(state("r1", "hold", 14.0), link_up=False))
+    assert not orders.unheld(), "it has held since, and may have been switched off"
+    orders.give(order("hold", "r1", at_s=20.0))
+    assert set(orders.unheld()) == {"r1"}
+
+
 # -- a watcher -------------------------------------------------------------------------------------------------
 
 
@@ -153,6 +171,22 @@ def test_an_order_is_said_at_every_tick_until_a_copy_of_a_log_has_it(settings: K
     for tick in range(41, 50):
         laptop.messages(START_NS + tick * TICK_NS)
     assert [data[0] for data in laptop.messages(START_NS + 60 * TICK_NS)].count(ORDER) == 0
+
+
+def test_an_agent_that_does_not_reach_its_vehicle_says_of_no_order_that_it_obeys(
+    settings: KernelSettings,
+) -> None:
+    r1, name = agent(settings, settings.engine.robots[0]), settings.engine.robots[0]
+    laptop = Talk(Logs("", settings.engine.robots), Seal(KEY, WATCHERS[0]))
+    hold, reached = order("hold"), []
+    r1.take(laptop.order(hold, START_NS), START_NS)
+    for second, link_up in enumerate((True, False, True)):
+        now_ns = START_NS + second * S
+        r1.step(replace(state(name, "hold", second), link_up=link_up))
+        for message in r1.messages(now_ns):
+            laptop.take(message, now_ns)
+        reached.append(laptop.peers[name].obeyed == code_of(hold))
+    assert reached == [True, False, True]
 
 
 def test_an_order_that_is_void_is_said_no_more(settings: KernelSettings) -> None:

@@ -87,6 +87,8 @@ class Talk:
     heard_bytes: int = 0
     obeyed: int = -1
     """The code of the last order that our robot has obeyed."""
+    reaches_vehicle: bool = True
+    """Whether the link to our vehicle stands: else nobody is told that it obeys."""
     refused: int = 0
     """Messages of members that could not be read."""
     lost: bool = False
@@ -308,7 +310,7 @@ class Talk:
             out.uint(max(0, tick + 1 - known[robot].number) if robot in known else 0)
         for robot in logs.robots:
             _write_lag(out, self.peers[robot].lag_s if robot in heard else None)
-        out.uint(self.obeyed + 1)
+        out.uint(self.obeyed + 1 if self.reaches_vehicle else 0)
         watchers = self.watchers_in_range(now_ns)
         out.uint(len(watchers))
         for number in watchers:
