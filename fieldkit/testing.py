@@ -85,7 +85,8 @@ async def check_receiver(make: MakeReceiver) -> None:
 async def _receives_in_order(bench: ReceiverBench) -> None:
     async with bench.receiver as receiver, _Tap(receiver.readings()) as tap:
         await bench.transmit(20)
-        readings = await tap.until(lambda seen: len(_readings(seen)) >= 20, "20 readings")
+        # A radio that is asked for each strength may bring one every 1.5 s.
+        readings = await tap.until(lambda seen: len(_readings(seen)) >= 20, "20 readings", 2.0 * PATIENCE_S)
         heard = _readings(readings)
         assert len(heard) == 20 or bench.of_itself, f"20 transmissions gave {len(heard)} readings"
         stamps = [reading.t_ns for reading in heard]
