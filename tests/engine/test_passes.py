@@ -56,6 +56,7 @@ def test_a_packet_concerns_what_its_own_source_sent_and_nothing_else() -> None:
 
 
 def test_what_is_believed_is_what_passes_over_everything_lead_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(passes, "LITTLE_WORK", 0)
     local = searched(48)
     assert not local.mixture.unswept, "what was left alone is looked at when nothing is heard"
     monkeypatch.setattr(passes, "SHARE", 0.0)

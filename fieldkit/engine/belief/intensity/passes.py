@@ -15,6 +15,8 @@ from fieldkit.messages import FloatArray
 if TYPE_CHECKING:
     from fieldkit.engine.belief.intensity.mixture import Mixture
 
+LITTLE_WORK = 10_000_000
+"""Entries of all clouds times detections up to which every pass goes over everything."""
 SHARE = 1e-3
 """A candidate that has less of a detection is not concerned by it."""
 
@@ -64,7 +66,14 @@ def sweep(
 
 
 def sweep_again(mixture: "Mixture", numbers: Iterable[int]) -> None:
-    """Look again at those detections, among those that have a share of them."""
+    """Look again at those detections, among those that have a share of them; at all of them where that is little work.
+
+    Seen later, finds that had moved were called silent later: seven false finds instead of none in twenty missions.
+    """
+    entries = sum(candidate.log_prior.size for candidate in mixture.candidates)
+    if entries * len(mixture.open) <= LITTLE_WORK:
+        sweep(mixture, mixture.tuning.sweeps)
+        return
     sweep(mixture, mixture.tuning.sweeps, numbers, least_share=SHARE)
 
 
