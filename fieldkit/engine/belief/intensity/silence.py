@@ -4,7 +4,7 @@ With a rate known as Gamma(a + n, b + E) from n receptions in exposure E, nothin
 probability ((b + E) / (b + E + S))^(a + n). Exposure counts only where somebody would have heard it.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -113,9 +113,12 @@ def expected_asleep(mixture: "Mixture", silent: Collection[int]) -> float:
     return mixture.settings.expected_sources * len(asleep) / max(len(known), 1)
 
 
-def gone_probability(mixture: "Mixture", candidate: Candidate) -> float:
-    """P(it has ended or was moved since it was last heard): such things happen now and then, and it is silent since."""
-    silent = silence(mixture, candidate)
+def gone_probability(mixture: "Mixture", candidate: Candidate, silent: Silence | None = None) -> float:
+    """P(it has ended or was moved since it was last heard): such things happen now and then, and it is silent since.
+
+    `silent`: its silence, where that has been worked out.
+    """
+    silent = silence(mixture, candidate) if silent is None else silent
     quiet_s = max(0.0, (mixture.now_ns - silent.since_ns) * 1e-9)
     stayed = float(np.exp(-quiet_s / mixture.stay_s))
     return (1.0 - stayed) / (1.0 - stayed + stayed * silent.odds)
@@ -128,27 +131,24 @@ def gone_silent(mixture: "Mixture") -> set[int]:
     was heard, the more often such things happen, and the shorter a silence tells of one.
     """
     tuning = mixture.tuning
+    known = [(each, silence(mixture, each)) for each in mixture.candidates if is_known(mixture, each)]
     silent = {
-        each.ident
-        for each in mixture.candidates
-        if is_known(mixture, each)
-        and (
-            silence(mixture, each).odds < tuning.silent_odds
-            or gone_probability(mixture, each) >= tuning.surely_silent
-        )
+        each.ident: its.since_ns
+        for each, its in known
+        if its.odds < tuning.silent_odds or gone_probability(mixture, each, its) >= tuning.surely_silent
     }
     mixture.stay_s = mean_stay_s(mixture, silent)
-    return silent
+    return set(silent)
 
 
-def mean_stay_s(mixture: "Mixture", silent: Collection[int]) -> float:
+def mean_stay_s(mixture: "Mixture", silent: Mapping[int, int]) -> float:
     """How long a source stays on average, by those known so far: where one has gone, others go sooner.
 
-    Ends at a rate known as Gamma(1 + those that went, `change_s` + the time that all were there).
+    `silent`: since when a source (by identity) has been silent. Ends at a rate known as Gamma(1 + those that went,
+    `change_s` + the time that all were there).
     """
     there_s = sum(
-        (silence(mixture, each).since_ns if each.ident in silent else mixture.now_ns) * 1e-9
-        - each.first_ns * 1e-9
+        silent.get(each.ident, mixture.now_ns) * 1e-9 - each.first_ns * 1e-9
         for each in mixture.candidates
         if each.first_ns is not None and is_known(mixture, each)
     )
