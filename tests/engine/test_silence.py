@@ -200,11 +200,11 @@ def test_where_sources_go_others_are_expected_to_go_sooner(monkeypatch: pytest.M
     stayed = (ends[0] > 2000.0) & (ends[1] > 2000.0)
     none_gone = stayed & (ends[2] > 1200.0)
     one_gone = stayed & (ends[2] > 1150.0) & (ends[2] < 1250.0)
-    with_none = silence.mean_stay_s(mixture, set())  # type: ignore[arg-type]
-    with_one = silence.mean_stay_s(mixture, {3})  # type: ignore[arg-type]
+    with_none = silence.mean_stay_s(mixture, {})  # type: ignore[arg-type]
+    with_one = silence.mean_stay_s(mixture, {3: 1200 * S})  # type: ignore[arg-type]
     assert with_one == pytest.approx(1.0 / rate_hz[one_gone].mean(), rel=0.05)
     mixture.candidates = mixture.candidates[:2]
-    stayed_s = silence.mean_stay_s(mixture, set())  # type: ignore[arg-type]
+    stayed_s = silence.mean_stay_s(mixture, {})  # type: ignore[arg-type]
     assert stayed_s == pytest.approx(1.0 / rate_hz[stayed].mean(), rel=0.05)
     assert with_one < stayed_s < with_none
     assert none_gone.sum() < stayed.sum()
