@@ -97,6 +97,10 @@ def agent(
         str,
         typer.Option(help="Why it may start although its vehicle's check is red; goes into the recording."),
     ] = "",
+    anew: Annotated[
+        bool,
+        typer.Option("--anew", help="Begin a new mission, without what an earlier agent of the robot knew."),
+    ] = False,
     page: Annotated[
         bool,
         typer.Option(
@@ -110,8 +114,8 @@ def agent(
     """Run one robot's part of a mission on its own computer; the robots' agents talk over Zenoh.
 
     Each robot decides for itself; those in contact decide alike. Enter holds ALL robots in reach, Ctrl-C ends this
-    agent alone. An agent that was killed goes on by itself when it is started again. Exit code 4: the vehicle has not
-    shown that it holds.
+    agent alone. An agent that was killed, or ended while others go on, takes up its log when it is started again.
+    Exit code 4: the vehicle has not shown that it holds.
 
     Example: fieldkit agent mission.toml --robot r1 --listen tcp/0.0.0.0:7447
 
@@ -131,7 +135,7 @@ def agent(
     from mission.cli.missions import print_flown
     from mission.core.mission_file import read_mission
     from mission.shell import setups
-    from mission.shell.agent_flight import Options, card_of, fly_agent, interrupted
+    from mission.shell.agent_flight import Options, card_of, fly_agent, interrupted, left
     from mission.shell.hold_all import hold_all
     from mission.shell.terminal import Watch
     from mission.shell.warm_up import warm_up
@@ -159,8 +163,8 @@ def agent(
         _print_held(said, as_json=as_json)
         return
     setup = setups.of_robot(mission, robot, clock)
-    resumed = interrupted(out, card)
-    options = Options(robot, secret, contact_m, bytes_s, override, wait_s, resumed)
+    resumed, was_left = (None, None) if anew else (interrupted(out, card, secret), left(out, card, secret))
+    options = Options(robot, secret, contact_m, bytes_s, override, wait_s, resumed, was_left)
     may_be_shown(page, page_host, page_port)
     say("preparing the engine (compiled once on a new machine, up to a minute) ...")
     with before_the_start():

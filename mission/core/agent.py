@@ -31,6 +31,7 @@ from fieldkit.settings import AGENT_WAIT_S
 from mission.core.kernel import NOTHING, Outcome
 from mission.core.kernel_settings import KernelSettings
 from mission.core.lines import Lines, gathered
+from mission.core.taking_up import ENDED, RESTARTED
 from mission.core.timeline import Timeline
 
 POSE_EVERY_S = 0.45
@@ -179,6 +180,11 @@ class Agent:
                 remembered.append(order)
         return remembered
 
+    def remember_anew(self) -> list[Operator]:
+        """The same, where its log has come after some orders were obeyed: all of them, in their order."""
+        self._obeyed.clear()
+        return self.remembered()
+
     def step(self, event: Event) -> Outcome:
         """Take in what its own robot or its operator says, or let time pass; what follows for its own robot."""
         if isinstance(event, VehicleState) and event.robot == self.me:
@@ -188,7 +194,8 @@ class Agent:
                 return self._tick(event.t_ns)
             case Operator() if event.action == "end":
                 why = event.reason or "the operator ended the mission"
-                self._log(Operator(event.t_ns, "withdraw", self.me, why), event.t_ns)
+                if self._ready:  # else others may still bring its log back, and nothing is added before
+                    self._log(Operator(event.t_ns, "withdraw", self.me, ENDED + why), event.t_ns)
                 return Outcome((EndMission(event.t_ns, why),))
             case Operator():
                 if event.robot in (None, self.me):  # its own operator's makes older ones void as others' do
@@ -234,11 +241,12 @@ class Agent:
         self._ready = True
         before = self.logs.closed_of(self.me)
         if before > NEVER:
-            self._log(ReceiverState(before * TICK_NS, self.me, False, "its agent was restarted"), now_ns)
-            self._log(ReceiverState(now_ns, self.me, True, "its agent goes on"), now_ns)
+            self._log(ReceiverState(before * TICK_NS, self.me, False, RESTARTED), now_ns)
         for order in self._early_orders:
             self._log(order, now_ns)
         self._early_orders.clear()
+        if before > NEVER:
+            self._log(ReceiverState(now_ns, self.me, True, "its agent goes on"), now_ns)
         for event in self._early.values():
             self.step(replace(event, t_ns=now_ns) if isinstance(event, ReceiverState) else event)
 

@@ -22,6 +22,7 @@ from fieldkit.ports import Network
 from fieldkit.recording.made_with import software
 from mission.core.agent import Agent
 from mission.core.mission_file import Mission
+from mission.core.taking_up import Left
 from mission.safety.apart import least_contact_m
 from mission.shell import journal as journals
 from mission.shell.agent_runner import AgentRunner, Crew
@@ -52,6 +53,8 @@ class Options:
     """So long it waits at the start for robots that nobody has heard of."""
     resumed: Path | None = None
     """The journal of a flight that was interrupted."""
+    left: Path | None = None
+    """The journal of an agent that was ended before the mission was over: what others say tells if it goes on."""
 
 
 def mission_hash(mission: Mission) -> str:
@@ -147,7 +150,8 @@ def fly_agent(
         )  # it takes the place of the one that is gone on with, also where this start fails
         everybodys = stack.enter_context(recording_of(mission, folder / "common.mcap", {"common": True}))
         common = common_of(mission, agent.common, everybodys)
-        crew = Crew(agent, network, options.key, card, journal, options.contact_m, common)
+        left = None if options.left is None else left_in(options.left, mission, card.robot, options.wait_s)
+        crew = Crew(agent, network, options.key, card, journal, options.contact_m, common, left, options.left)
         followers = () if page is None else (page.follower,)
         own = recording_of(mission, folder / "mission.mcap", {"agent": card.robot}, setup.clock.now_ns())
         recorder = stack.enter_context(own)
@@ -174,6 +178,24 @@ def _stand_by_orders(runner: AgentRunner) -> None:
         runner.safety.observe(order)
 
 
-def interrupted(out: Path, card: Card) -> Path | None:
-    """The journal of this robot's flight of this mission that was interrupted not long ago."""
-    return journals.interrupted(out, card.robot, card.mission_hash, card.started_ns * 1e-9)
+def left_in(path: Path, mission: Mission, robot: str, wait_s: float) -> Left:
+    """What an agent knew that was ended before its mission was over."""
+    logs = Logs(robot, mission.kernel.engine.robots)
+    journals.load(path, logs)
+    first_ns = min((log[0].order_ns for log in logs.entries.values() if log), default=0)
+    return Left(logs, first_ns + round((mission.kernel.max_duration_s + wait_s) * 1e9))
+
+
+def interrupted(out: Path, card: Card, key: bytes) -> Path | None:
+    """The latest journal of this robot in this mission, where its agent was interrupted not long ago."""
+    return _latest(out, card, key, journals.Ending.CUT)
+
+
+def left(out: Path, card: Card, key: bytes) -> Path | None:
+    """... where its agent was ended not long ago, and the mission may go on."""
+    return _latest(out, card, key, journals.Ending.LEFT)
+
+
+def _latest(out: Path, card: Card, key: bytes, wanted: journals.Ending) -> Path | None:
+    path, ending = journals.latest(out, head_of(card, key), card.started_ns * 1e-9) or (None, None)
+    return path if ending is wanted else None

@@ -10,9 +10,11 @@ import logging
 from collections.abc import AsyncIterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second
+from fieldkit.engine.decentralised.logs import STEP_NS
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.errors import ConfigError, RecordingError
 from fieldkit.messages import Command, EndMission, Event, Operator, Pose, ReceiverState, Tick, VehicleState
@@ -21,21 +23,19 @@ from fieldkit.settings import TICK_S
 from mission.core.agent import Agent
 from mission.core.fleet import Fleet, Robot
 from mission.core.kernel import Kernel, Outcome
+from mission.core.taking_up import Left, ended_ns
 from mission.safety.apart import SafetyApart
 from mission.safety.rules import Safety
 from mission.shell.alarms import unrecorded
 from mission.shell.chronicle import Chronicle
 from mission.shell.journal import Journal
+from mission.shell.look_round import LookRound
 from mission.shell.member import Member
 from mission.shell.others import ORDERED
 from mission.shell.runner import Runner
 
 logger = logging.getLogger(__name__)
 
-LOOK_ROUND_S = 3.0
-"""Before the start an agent listens for so long: for a second one of its robot, and for its own log."""
-OWN_LOG_S = 300.0
-"""... and for so long where it has lost its journal and others still bring its log back."""
 LINGER_S = 10.0
 """So long after the end others may still fetch what they lack."""
 
@@ -53,6 +53,10 @@ class Crew:
     """Within which distance the robots hear each other, where the operator says so."""
     common: Chronicle | None = None
     """Writes down what all agree on."""
+    left: Left | None = None
+    """What an agent before it knew that was ended before the mission was over ..."""
+    left_in: Path | None = None
+    """... and the journal that has it."""
 
 
 @dataclass
@@ -76,6 +80,7 @@ class AgentRunner(Runner):
             agent.lines,
             self._say,
         )
+        self._member.keeps_journal = any(agent.logs.counts().values())
         super().__post_init__()
 
     @property
@@ -184,18 +189,27 @@ class AgentRunner(Runner):
 
     async def _start(self) -> None:
         """Look round first: nothing of the robot's is touched where another agent has it."""
-        clock, talk, began_s = self.setup.clock, self.crew.agent.talk, self.setup.clock.elapsed_s()
-        while (waited_s := clock.elapsed_s() - began_s) < LOOK_ROUND_S or (
-            talk.lacks_own(clock.now_ns()) and waited_s < OWN_LOG_S
-        ):
-            self._speak()
+        crew, clock, remember = self.crew, self.setup.clock, self.safety.observe
+        await LookRound(crew.agent, clock, remember, self._say, self._speak, crew.left, crew.left_in).run()
+        while not self._inbox.empty():  # orders in what has come back are obeyed first
             await clock.sleep(TICK_S)
+        self._member.keeps_journal = True
         if not self.crew.agent.talk.in_range(clock.now_ns()):
             where, wait_s = self.crew.network.where, self.crew.agent.patience_s
             self._say(
                 f"no other agent is heard yet (looked {where}): it goes on looking, and after {wait_s:g} s alone"
             )
         await super()._start()
+
+    def _is_ready(self) -> None:
+        """A robot whose operator had ended its agent is in the mission again; a hold from before stands.
+
+        The order is of the time of that end: what was ordered since, and has not come here yet, is later.
+        """
+        at_ns, ordered = ended_ns(self.crew.agent.logs, self.me), self.safety.robots[self.me].ordered
+        if at_ns is not None and ordered in ("withdraw", "hold"):
+            action: Literal["resume", "hold"] = "resume" if ordered == "withdraw" else "hold"
+            self.put(Operator(at_ns + STEP_NS, action, self.me, "its agent was started again"))
 
     async def _step(self, number: int, t_ns: int, event: Event, pool: ThreadPoolExecutor) -> None:
         await super()._step(number, t_ns, event, pool)
@@ -250,8 +264,9 @@ class AgentRunner(Runner):
                 and not crew.agent.talk.lost
             ):
                 self.decide(event)
-        crew.journal.write(crew.agent.logs)
-        crew.journal.end()
+        if self._member.keeps_journal:
+            crew.journal.write(crew.agent.logs)
+        crew.journal.end(left=not (crew.agent.talk.lost or crew.agent.line.kernel.ended))
 
     def _somebody_lacks(self) -> bool:
         talk = self.crew.agent.talk

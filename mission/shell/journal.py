@@ -11,6 +11,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, field
+from enum import Enum
 from pathlib import Path
 
 from fieldkit.engine.decentralised import packing
@@ -22,11 +23,21 @@ logger = logging.getLogger(__name__)
 NAME = "observations.log"
 _HEAD = struct.Struct("<II")
 HEADER, PART, CLOSED, END = range(4)
+LEFT = b"left"
+"""What the end of a journal says where its mission may have gone on without its robot."""
 LARGEST_RECORD = 1_000_000
 ENTRIES = 200
 """Of a record at the most."""
 RESUME_WITHIN_S = 7_200.0
 """A journal that was left longer ago belongs to a mission that is over."""
+
+
+class Ending(Enum):
+    """How a journal ends."""
+
+    CUT = "its agent was killed, or still runs"
+    LEFT = "its agent was ended before the mission was over"
+    OVER = "the mission was over, or it cannot be gone on with"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +84,9 @@ class Journal:
             rows = [[*key, tick] for key, tick in changed.items()]
             self._add(CLOSED, json.dumps(rows, separators=(",", ":")).encode())
 
-    def end(self) -> None:
-        """The mission is over for this robot: nobody goes on with this journal."""
-        self._add(END, b"")
+    def end(self, *, left: bool = False) -> None:
+        """Its agent has come to its end; `left`: the mission was not over by then, as far as is known here."""
+        self._add(END, LEFT if left else b"")
 
     def close(self) -> None:
         """Closing twice is harmless."""
@@ -141,26 +152,42 @@ def head_of(path: Path) -> Head:
 
 def is_ended(path: Path) -> bool:
     """Whether its agent came to its end; else it was killed, still runs, or the file is cut."""
-    last = END - 1
-    for kind, _ in _records(path):
-        last = kind
-    return last == END
+    return _ending(path)[0] is not Ending.CUT
 
 
-def interrupted(out: Path, robot: str, mission_hash: str, now_s: float) -> Path | None:
-    """The latest journal below `out` of this robot and mission that was not ended and not left long ago."""
+def _ending(path: Path) -> tuple[Ending, bool]:
+    """How it ends, and whether there is an observation in it."""
+    last, holds = (END - 1, b""), False
+    for record in _records(path):
+        last, holds = record, holds or record[0] == PART
+    if last[0] != END:
+        return Ending.CUT, holds
+    return Ending.LEFT if last[1] == LEFT else Ending.OVER, holds
+
+
+def latest(out: Path, head: Head, now_s: float) -> tuple[Path, Ending] | None:
+    """The latest journal below `out` of this robot, mission and key with an observation in it, and how it ends.
+
+    One that was left long ago belongs to a mission that is over: None. One without observations is of an agent that
+    ended before it had begun, and the one before that is still to be gone on with.
+    """
     found = []
     for path in out.glob(f"*/{NAME}"):
         written_s = path.stat().st_mtime
         if abs(now_s - written_s) > RESUME_WITHIN_S:
             continue
         try:
-            head = head_of(path)
+            its = head_of(path)
         except RecordingError:
             continue
-        if (head.robot, head.mission_hash) == (robot, mission_hash) and not is_ended(path):
-            found.append((written_s, path))
-    return max(found)[1] if found else None
+        is_ours = (its.robot, its.mission_hash) == (head.robot, head.mission_hash)
+        ending, holds = _ending(path)
+        if is_ours and its.team in ("", head.team) and holds:
+            found.append((written_s, path, ending))
+    if not found:
+        return None
+    _, path, ending = max(found, key=lambda each: each[:2])
+    return path, ending
 
 
 def _records(path: Path) -> Iterator[tuple[int, bytes]]:

@@ -32,6 +32,8 @@ class Member:
     lines: Lines
     say: Callable[[str], None]
     others: Refused = field(default_factory=Refused)
+    keeps_journal: bool = True
+    """Not while its robot's own log may still come back: a journal with less of it would be gone on with."""
     contacts: Contacts = field(init=False)
     _team_clock: TeamClock = field(init=False)
     _card_s: float = -math.inf
@@ -45,7 +47,8 @@ class Member:
         if said := self._team_clock.follow():
             self.say(said)
         now_ns, now_s = self.clock.now_ns(), self.clock.elapsed_s()
-        self.journal.write(self.talk.logs)
+        if self.keeps_journal:
+            self.journal.write(self.talk.logs)
         for message in messages(now_ns):
             self.network.publish(message)
         if now_s - self._card_s >= CARD_EVERY_S:

@@ -211,12 +211,16 @@ class Runner:
             waits = await start.acquire(self.robots, self.safety, out, resumed=resumed)
         for name, why in waits.items():
             self.put(Operator(clock.now_ns(), "withdraw", name, why))
+        self._is_ready()
         while True:
             self._ticks.tick()
             slept_s = clock.elapsed_s()
             await clock.sleep(TICK_S)
             if clock.elapsed_s() - slept_s > TICK_S + SLEPT_S * clock.rate:
                 await clock.sleep(WAKING_S * clock.rate)  # devices say first that nobody has read them
+
+    def _is_ready(self) -> None:
+        """Vehicles are ours; the mission's first tick is next."""
 
     # -- signals ---------------------------------------------------------------------------------------------
 

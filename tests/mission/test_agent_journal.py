@@ -18,7 +18,7 @@ from fieldkit.world.fakes import FakeFleet
 from fieldkit.world.network import Air
 from mission.lab.synthetic import small_mission
 from mission.shell import journal as journals
-from mission.shell.agent_flight import Options, fly_agent, head_of, interrupted, make_agent
+from mission.shell.agent_flight import Options, fly_agent, head_of, interrupted, left, make_agent
 from mission.shell.setups import Setup
 
 
@@ -34,15 +34,15 @@ def test_a_journal_is_taken_up_only_by_its_robot_mission_and_in_time(tmp_path: P
     agent.step(Operator(START_NS, "hold", None, "stop"))
     journal.write(agent.logs)
     out = tmp_path / "runs"
-    assert interrupted(out, mine) == journal.path
-    assert interrupted(out, replace(mine, robot="r2")) is None
-    assert interrupted(out, replace(mine, mission_hash="other")) is None
-    assert interrupted(out, replace(mine, started_ns=mine.started_ns + 3 * 3600 * 10**9)) is None
+    assert interrupted(out, mine, KEY) == journal.path and left(out, mine, KEY) is None
+    assert interrupted(out, replace(mine, robot="r2"), KEY) is None
+    assert interrupted(out, replace(mine, mission_hash="other"), KEY) is None
+    assert interrupted(out, replace(mine, started_ns=mine.started_ns + 3 * 3600 * 10**9), KEY) is None
     logs = Logs("r1", agent.logs.robots)
     assert journals.load(journal.path, logs) == (1, "") and logs.entries == agent.logs.entries
     journal.end()
     journal.close()
-    assert interrupted(out, mine) is None
+    assert interrupted(out, mine, KEY) is None and left(out, mine, KEY) is None, "that mission is over"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a full disk of Linux")

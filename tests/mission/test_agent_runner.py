@@ -31,6 +31,7 @@ from mission.shell.agent_flight import (
     Options,
     card_of,
     head_of,
+    left_in,
     make_agent,
     mission_hash,
 )
@@ -57,13 +58,13 @@ class Robot:
         self.followers: tuple[View, ...] = ()
         self.flights = 0
 
-    async def fly(self, resumed: Path | None = None) -> AgentRunner:
+    async def fly(self, resumed: Path | None = None, left: Path | None = None) -> AgentRunner:
         self.flights += 1
         folder = self.folder / f"{self.name}-{self.flights}"
         folder.mkdir()
         mission, clock = self.mission, self.clock
         card = card_of(mission, self.name, clock)
-        options = Options(self.name, KEY, 5.0, 1400.0, resumed=resumed)
+        options = Options(self.name, KEY, 5.0, 1400.0, resumed=resumed, left=left)
         agent = make_agent(mission, card, options)
         with contextlib.ExitStack() as stack:
             writers = [
@@ -80,7 +81,8 @@ class Robot:
             common = Chronicle(agent.common.kernel, Safety(mission.safety), writers[1])
             agent.common.witness = common.step
             setup = Setup(clock, (self.radio,), (self.fleet,))
-            crew = Crew(agent, self.network, KEY, card, journal, options.contact_m, common)
+            before = None if left is None else left_in(left, mission, self.name, options.wait_s)
+            crew = Crew(agent, self.network, KEY, card, journal, options.contact_m, common, before, left)
             self.runner = AgentRunner(mission, setup, writers[0], followers=self.followers, crew=crew)
             async with self.network:
                 await self.runner.run()
