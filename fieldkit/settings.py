@@ -136,6 +136,10 @@ COT_EVERY_S = Quantity(5.0, 0.2, 600.0, "s", "time between two tellings of every
 
 # -- robots without a common computer ------------------------------------------------------------------------
 
+STANDS_M_S = 0.2
+"""A vehicle on the ground that is no faster stands: satellites give one that stands some speed too."""
+DRIFTS_M_S = 0.5
+"""One in the air that is no faster hovers, in wind too."""
 AGENT_BYTES_S = Quantity(1_400.0, 100.0, 1e6, "B/s", "what one robot's agent sends at the most")
 """Four of them fit on a telemetry radio of 57.6 kbit/s."""
 AGENT_ABSENT_S = 12.0

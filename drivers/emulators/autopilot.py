@@ -235,7 +235,7 @@ class Autopilot(Telemetry):
 
     def _pause(self, message: Message) -> int:
         """PX4: a reposition to nowhere is a stop."""
-        if not math.isnan(message.param5):
+        if not math.isnan(message.param5) or self.trouble.refuses_hold:
             return DENIED
         self._target_m = None
         self._change_mode(self.profile.hold)
@@ -254,7 +254,7 @@ class Autopilot(Telemetry):
         self.body.begin_leg()
 
     def _set_mode(self, mode: int) -> int:
-        if mode not in self.profile.modes:
+        if mode not in self.profile.modes or (mode == self.profile.hold and self.trouble.refuses_hold):
             return FAILED
         if mode == self.profile.auto:
             self.say("No Mission. Can't set AUTO.")

@@ -204,6 +204,12 @@ class _Faults:
     async def stuck(self, robot: _Robot, stuck: Any) -> None:
         robot.autopilot.trouble.stuck = bool(stuck)
 
+    async def refuses_hold(self, robot: _Robot, refuses: Any) -> None:
+        robot.autopilot.trouble.refuses_hold = bool(refuses)
+
+    async def rolls_on(self, robot: _Robot, rolls: Any) -> None:
+        robot.autopilot.trouble.rolls_on = bool(rolls)
+
     async def battery(self, robot: _Robot, percent: Any) -> None:
         robot.autopilot.battery_pct = float(percent)
 

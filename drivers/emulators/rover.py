@@ -124,7 +124,7 @@ class RoverAutopilot(Autopilot):
         driving = self.armed and not self.trouble.stuck and steered and not self._stalls_at_fence()
         if driving and self._target_m is not None:
             self.body.go_to(*self._target_m, self._speed_m_s)
-        else:
+        elif not self.trouble.rolls_on:
             self.body.stop()
         left_s = t_s - before_s
         while left_s > 1e-9:

@@ -44,6 +44,10 @@ class Trouble:
 
     gps_lost: bool = False
     stuck: bool = False
+    refuses_hold: bool = False
+    """It answers FAILED where it is asked to hold, and goes on."""
+    rolls_on: bool = False
+    """It shows that it holds, and goes on where it went: a slope, or a drive that hangs."""
     prearm: str = ""
     """Why it will not arm, in the autopilot's words."""
     battery_v: float | None = None

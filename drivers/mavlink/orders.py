@@ -28,6 +28,7 @@ from fieldkit.clock import Clock
 from fieldkit.errors import DeviceTimeout, VehicleRefused
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import VehicleMode, Waypoint
+from fieldkit.settings import STANDS_M_S
 
 CONFIRM_S = 5.0
 """How long a heartbeat may take to show what was commanded."""
@@ -36,7 +37,7 @@ FIND_S = 10.0
 HOLD_EVERY_S = 0.25
 """How often a hold goes out again until the vehicle shows it."""
 MODE_WAIT_S = 0.5
-STOPPING_S, STANDS_M_S = 1.0, 0.2
+STOPPING_S = 1.0
 """One that stands so long after the order to, stands."""
 CLIMB_S, CLIMB_M_S = 20.0, 0.5
 """A take-off may take so long, and longer the higher it goes."""

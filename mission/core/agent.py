@@ -28,9 +28,11 @@ from fieldkit.messages import (
     Waypoint,
 )
 from fieldkit.settings import AGENT_WAIT_S
+from mission.core.holding import rolls
 from mission.core.kernel import NOTHING, Outcome
 from mission.core.kernel_settings import KernelSettings
 from mission.core.lines import Lines, gathered
+from mission.core.orders import STEERING
 from mission.core.taking_up import ENDED, RESTARTED
 from mission.core.timeline import Timeline
 
@@ -119,9 +121,7 @@ class Agent:
             if self._is_new(said.order):
                 self.unlogged.append(said.order)
             elif self._holds_by(said.order):
-                self.talk.obeyed = code_of(
-                    said.order
-                )  # another order has come since, and this one is asked for
+                self._obeys(said.order)  # another order has come since, and this one is asked for
             return []
         orders = [] if said.order is None else [said.order]
         for entry in said.new:
@@ -138,8 +138,16 @@ class Agent:
         self._obeyed.add(order)
         if order.robot not in (None, self.me):
             return order.action in ("exclude", "remove")
+        stands = self._stands(order)
+        self._obeys(order, stands)
+        return stands
+
+    def _obeys(self, order: Operator, stands: bool = True) -> None:
+        """Its robot has got an order. Whether it holds is for its vehicle to show, and that is news to all."""
         self.talk.obeyed = code_of(order)
-        return self._stands(order)
+        if stands and order.action in STEERING:
+            self.talk.is_to_hold = order.action == "hold"
+            self._state = None if self.talk.is_to_hold else self._state
 
     def _holds_by(self, order: Operator) -> bool:
         """Whether its robot is to hold by an order that was obeyed, and was not let go since."""
@@ -200,6 +208,7 @@ class Agent:
             case Operator():
                 if event.robot in (None, self.me):  # its own operator's makes older ones void as others' do
                     self._stands(event)
+                    self._obeys(event)
                 if self._ready:
                     self._log(event, event.t_ns)
                 else:  # its log may still come back from others
@@ -215,9 +224,8 @@ class Agent:
             case VehicleState():
                 if self._says_more(event):
                     self._state = event
-                    self._log(
-                        replace(event, text="" if event.link_up else event.text, speed_m_s=None), event.t_ns
-                    )
+                    said = replace(event, text="" if event.link_up else event.text)
+                    self._log(said if rolls(event) else replace(said, speed_m_s=None), event.t_ns)
             case RssReading() | ReceiverState():
                 if self._ready:
                     self._log(event, event.t_ns)
@@ -312,4 +320,4 @@ class Agent:
 
 def _essence(state: VehicleState) -> tuple[object, ...]:
     """What of a vehicle's state decides whether it can be steered."""
-    return state.mode, state.armed, state.link_up, state.flies, state.on_ground, state.reason
+    return state.mode, state.armed, state.link_up, state.flies, state.on_ground, state.reason, rolls(state)

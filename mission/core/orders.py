@@ -7,6 +7,7 @@ from fieldkit.engine.decentralised.entries import STEP_NS
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.engine.decentralised.talk import code_of
 from fieldkit.messages import Operator, VehicleState
+from mission.core.holding import holds
 
 STEERING = ("hold", "resume", "return", "release", "withdraw")
 """The last one of these is what a robot is to do."""
@@ -26,6 +27,8 @@ class Orders:
     """Robot to the last order of `STEERING` that means it."""
     _shown: set[str] = field(default_factory=set)
     """Robots that have shown that they have got that one."""
+    _holding: set[str] = field(default_factory=set)
+    """... and whose agents say that their vehicles hold by it."""
     _where: dict[Operator, dict[str, int]] = field(default_factory=dict)
     """Order to the robots in whose logs it stands, and its number there."""
     _vehicles: dict[str, VehicleState] = field(default_factory=dict)
@@ -63,6 +66,7 @@ class Orders:
                 if robot not in self._last or order.t_ns >= self._last[robot].t_ns:
                     self._last[robot] = order
                     self._shown.discard(robot)
+                    self._holding.discard(robot)
             self._drop_void()
         return True
 
@@ -77,7 +81,7 @@ class Orders:
         self.void += late
 
     def read(self, order: Operator, robot: str, number: int) -> bool:
-        """An order that is an entry of a robot's log: it obeys, and others learn of it there. Whether it is news."""
+        """An order that is an entry of a robot's log: it has got it, as others will. Whether it is news."""
         news = self.learn(order)
         self._where.setdefault(order, {}).setdefault(robot, number)
         self.waiting = [each for each in self.waiting if each != order]
@@ -86,7 +90,7 @@ class Orders:
         return news
 
     def has(self, robot: str, counts: Mapping[str, int]) -> None:
-        """So many entries of each robot's log of orders a robot's agent says that it has: those it obeys."""
+        """So many entries of each robot's log of orders a robot's agent says that it has: those it has got."""
         if (last := self._last.get(robot)) is not None:
             where = self._where.get(last, {})
             if any(counts.get(author, 0) > number for author, number in where.items()):
@@ -94,16 +98,23 @@ class Orders:
 
     def see(self, state: VehicleState) -> None:
         """A vehicle's state, from its robot's log: of one out of reach there is no other word."""
-        if _holds(state):
+        if holds(state):
             self._stood_ns[state.robot] = max(state.t_ns, self._stood_ns.get(state.robot, 0))
         before = self._vehicles.get(state.robot)
         if before is None or state.t_ns >= before.t_ns:
             self._vehicles[state.robot] = state
 
     def obeyed(self, robot: str, code: int) -> None:
-        """A robot's agent says which order it has obeyed last (`code_of`): sooner than any log."""
-        if (last := self._last.get(robot)) is not None and code == code_of(last):
+        """A robot's agent says which order it has obeyed last (`code_of`): sooner than any log.
+
+        Of a hold it says so as long as its vehicle shows it, and -1 where that does not.
+        """
+        last = self._last.get(robot)
+        if last is not None and code == code_of(last):
             self._shown.add(robot)
+            self._holding.add(robot)
+        elif code < 0:
+            self._holding.discard(robot)
 
     def withdrawn_ns(self) -> int | None:
         """When the last of all robots was taken out of the mission; None where one is still in it."""
@@ -118,7 +129,8 @@ class Orders:
     def unheld(self) -> dict[str, Operator]:
         """Robots that are to hold and have not shown it, and by which order.
 
-        An agent's word counts for nothing where it has lost its vehicle, unless that one held since the order.
+        That an agent has got the order is not enough: its word that the vehicle holds is, or the vehicle's own state
+        since the order. The word counts for nothing where it has lost its vehicle, unless that one held since.
         """
         return {
             robot: order
@@ -128,15 +140,13 @@ class Orders:
 
     def _has_shown(self, robot: str, order: Operator) -> bool:
         vehicle = self._vehicles.get(robot)
-        if vehicle is None or order.action != "hold":
+        if order.action != "hold":
             return robot in self._shown
-        if robot not in self._shown:
-            return _holds(vehicle) and vehicle.t_ns > order.t_ns
-        return vehicle.link_up or self._stood_ns.get(robot, 0) > order.t_ns
+        if vehicle is not None and not vehicle.link_up:
+            return robot in self._shown and self._stood_ns.get(robot, 0) > order.t_ns
+        if robot in self._holding:
+            return True
+        return vehicle is not None and holds(vehicle) and vehicle.t_ns > order.t_ns
 
     def _meant(self, order: Operator) -> Iterator[str]:
         return (robot for robot in self.robots if order.robot in (None, robot))
-
-
-def _holds(vehicle: VehicleState) -> bool:
-    return vehicle.mode == "hold" and vehicle.link_up

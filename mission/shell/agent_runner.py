@@ -7,6 +7,7 @@ step looks only at what was closed before it began.
 """
 
 import logging
+import math
 from collections.abc import AsyncIterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -17,16 +18,27 @@ from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_sec
 from fieldkit.engine.decentralised.logs import STEP_NS
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.errors import ConfigError, RecordingError
-from fieldkit.messages import Command, EndMission, Event, Operator, Pose, ReceiverState, Tick, VehicleState
+from fieldkit.messages import (
+    Command,
+    EndMission,
+    Event,
+    Hold,
+    Operator,
+    Pose,
+    ReceiverState,
+    Tick,
+    VehicleState,
+)
 from fieldkit.ports import Network
 from fieldkit.settings import TICK_S
 from mission.core.agent import Agent
 from mission.core.fleet import Fleet, Robot
+from mission.core.holding import holds, rolls
 from mission.core.kernel import Kernel, Outcome
 from mission.core.taking_up import Left, ended_ns
 from mission.safety.apart import SafetyApart
 from mission.safety.rules import Safety
-from mission.shell.alarms import unrecorded
+from mission.shell.alarms import LATE_STOP_S, unrecorded
 from mission.shell.chronicle import Chronicle
 from mission.shell.journal import Journal
 from mission.shell.look_round import LookRound
@@ -67,6 +79,8 @@ class AgentRunner(Runner):
 
     def __post_init__(self) -> None:
         self._own = Fleet(self.mission.kernel)
+        self._rolls_since_s = math.inf
+        """Since when its vehicle moves though it says that it holds."""
         self._foreign: list[Operator] = []
         """Orders of others that are in the inbox."""
         crew, agent = self.crew, self.crew.agent
@@ -172,9 +186,17 @@ class AgentRunner(Runner):
         self._member.refuse(card, now_ns, twin)
 
     def alarms(self) -> list[str]:
-        """Those of any mission, and what of this robot's own files has failed: the others have what it observes."""
+        """Those of any mission, its vehicle that moves though it says that it holds, and what of its files has failed.
+
+        The others have what it observes.
+        """
+        vehicle, rolling = self._own.robots[self.me].vehicle, []
+        if vehicle is not None and self.setup.clock.elapsed_s() - self._rolls_since_s >= LATE_STOP_S:
+            rolling = [
+                f"{self.me} says that it holds, and moves at {vehicle.speed_m_s:.1f} m/s: stop it by hand"
+            ]
         common = "" if self.crew.common is None else self.crew.common.failure
-        return [*super().alarms(), *unrecorded((common, self.crew.journal.failure))]
+        return [*super().alarms(), *rolling, *unrecorded((common, self.crew.journal.failure))]
 
     def doing(self) -> dict[str, str]:
         """Its own robot's, and of the others what is planned, unless they have an order, or nobody knows."""
@@ -210,6 +232,8 @@ class AgentRunner(Runner):
         if at_ns is not None and ordered in ("withdraw", "hold"):
             action: Literal["resume", "hold"] = "resume" if ordered == "withdraw" else "hold"
             self.put(Operator(at_ns + STEP_NS, action, self.me, "its agent was started again"))
+        elif ordered == "hold":  # its control has just been acquired
+            self._carry_out(Hold(self.setup.clock.now_ns(), self.me, "ordered before the start"))
 
     async def _step(self, number: int, t_ns: int, event: Event, pool: ThreadPoolExecutor) -> None:
         await super()._step(number, t_ns, event, pool)
@@ -220,6 +244,7 @@ class AgentRunner(Runner):
     def _speak(self) -> None:
         """What is new goes to the journal, and then to the others."""
         agent = self.crew.agent
+        self._mind_hold()
         self._member.speak(
             lambda now_ns: agent.messages(now_ns, self._apart.announced, dict(self._apart.ways))
         )
@@ -228,6 +253,16 @@ class AgentRunner(Runner):
                 f"the others know more of {self.me} than its own journal, so its log cannot be gone on with: start its "
                 "agent anew while others are in reach, and it gets its log back from them"
             )
+
+    def _mind_hold(self) -> None:
+        """Its word that it holds rests on what its vehicle shows: the order's own confirmation, its mode, its speed."""
+        vehicle, now_s = self._own.robots[self.me].vehicle, self.setup.clock.elapsed_s()
+        shown = self.me not in self.dispatcher.unconfirmed()
+        self.crew.agent.talk.shows_hold = shown and (vehicle is None or holds(vehicle))
+        if vehicle is None or not rolls(vehicle):
+            self._rolls_since_s = math.inf
+        elif math.isinf(self._rolls_since_s):
+            self._rolls_since_s = now_s
 
     def _carry_out(self, command: Command) -> None:
         """Its own robot's commands alone are its own to give."""

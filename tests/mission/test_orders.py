@@ -87,7 +87,7 @@ def test_an_order_is_later_than_all_that_are_known_whatever_the_clock_says() -> 
 # -- who has shown it ------------------------------------------------------------------------------------------
 
 
-def test_who_is_to_hold_has_shown_it_by_its_word_its_log_or_its_vehicle() -> None:
+def test_who_is_to_hold_has_shown_it_by_its_word_or_its_vehicle_and_not_by_having_got_the_order() -> None:
     orders = Orders(ROBOTS)
     hold = orders.give(order("hold", at_s=10.0))
     orders.see(state("r1", "hold", 9.0))
@@ -105,13 +105,20 @@ def test_who_is_to_hold_has_shown_it_by_its_word_its_log_or_its_vehicle() -> Non
     orders.see(state("r2", "hold", 11.5))
     assert set(orders.unheld()) == {"r2"}, "it goes on: it held by chance"
     orders.read(hold, "r2", 0)
-    assert not orders.unheld()
-    later = orders.give(order("hold", at_s=15.0))
-    orders.read(later, "r1", 4)
-    orders.has("r2", {"r1": 4})
+    orders.has("r2", {"r2": 1})
+    assert set(orders.unheld()) == {"r2"}, "its agent has got the order, and its vehicle goes on"
+    orders.see(replace(state("r2", "hold", 13.0), speed_m_s=0.6))
+    assert set(orders.unheld()) == {"r2"}, "it rolls on"
+    orders.see(replace(state("r2", "hold", 14.0), speed_m_s=0.6, flies=True))
     assert set(orders.unheld()) == {"r2"}
-    orders.has("r2", {"r1": 5})
-    assert not orders.unheld(), "what an agent takes in it obeys, whatever it has obeyed since"
+    orders.see(replace(state("r2", "hold", 14.5), speed_m_s=0.4, flies=True))
+    assert not orders.unheld(), "it hovers in the wind"
+    orders.obeyed("r1", -1)
+    assert set(orders.unheld()) == {"r1"}, "its agent takes its word back"
+    later = orders.give(order("hold", at_s=15.0))
+    orders.see(state("r1", "hold", 16.0))
+    orders.obeyed("r2", code_of(later))
+    assert not orders.unheld()
     again = orders.give(order("hold", "r2", at_s=20.0))
     assert orders.unheld() == {"r2": again}
     orders.read(order("withdraw", "r2", at_s=30.0), "r2", 0)

@@ -36,7 +36,7 @@ class Peer:
     knows: int = NO_WAY
     """The number of the last way of ours that it knows."""
     obeyed: int = -1
-    """The code of the last order that it has obeyed; -1: none."""
+    """The code of the last order that it has obeyed; -1: none, or its vehicle does not show it."""
     lags_s: deque[float] = field(default_factory=lambda: deque(maxlen=LAGS))
     """Of its last tables: when they came by our clock, less when they left by its own."""
     told_lag_s: float | None = None

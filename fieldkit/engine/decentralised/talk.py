@@ -89,6 +89,10 @@ class Talk:
     """The code of the last order that our robot has obeyed."""
     reaches_vehicle: bool = True
     """Whether the link to our vehicle stands: else nobody is told that it obeys."""
+    is_to_hold: bool = False
+    """Whether the last order that was obeyed is a hold ..."""
+    shows_hold: bool = True
+    """... and whether our vehicle has shown that it holds: else nobody is told so."""
     refused: int = 0
     """Messages of members that could not be read."""
     lost: bool = False
@@ -310,7 +314,8 @@ class Talk:
             out.uint(max(0, tick + 1 - known[robot].number) if robot in known else 0)
         for robot in logs.robots:
             _write_lag(out, self.peers[robot].lag_s if robot in heard else None)
-        out.uint(self.obeyed + 1 if self.reaches_vehicle else 0)
+        is_done = self.reaches_vehicle and (self.shows_hold or not self.is_to_hold)
+        out.uint(self.obeyed + 1 if is_done else 0)
         watchers = self.watchers_in_range(now_ns)
         out.uint(len(watchers))
         for number in watchers:
