@@ -199,6 +199,11 @@ class Network(_Opened, Protocol):
     where: str
     """In words, where it looks for others."""
 
+    @property
+    def unresolved(self) -> Mapping[str, str]:
+        """Addresses whose names cannot be resolved at present, and why. They are tried on."""
+        ...
+
     def publish(self, data: bytes, *, urgent: bool = False) -> None:
         """Send to all in reach. Waits for nobody; what cannot leave is lost. Urgent messages go before others."""
         ...

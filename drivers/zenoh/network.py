@@ -12,14 +12,13 @@ from collections.abc import AsyncIterator, Iterable, Mapping
 from types import TracebackType
 from typing import Any, Self
 
+from drivers.zenoh.names import WITH_PORT, Names
 from fieldkit.errors import ConfigError, DeviceError
 from fieldkit.extras import need
 from fieldkit.ports import DriverContext
 
 GREETINGS = "fieldkit/who-is-here"
 """Where all missions say who they are: those of two keys, which hear nothing else of each other, learn of it."""
-WITH_PORT = ("tcp", "udp", "tls", "quic", "ws")
-"""Protocols whose addresses are HOST:PORT."""
 ENTRY_POINTS = {"listen": "tcp/0.0.0.0:7447", "connect": "tcp/192.168.1.11:7447"}
 """Options that are addresses, and an example of each."""
 MOST_WAITING = 1_000
@@ -81,7 +80,13 @@ class ZenohNetwork:
         looks += ["by multicast on 224.0.0.224:7446"] if scouting else []
         self.where = ", ".join(looks) or "nowhere: others must come by themselves"
         self._session: Any = None
+        self._names = Names(connect)
         self._waiting: asyncio.Queue[bytes | None] = asyncio.Queue()
+
+    @property
+    def unresolved(self) -> Mapping[str, str]:
+        """See `Network`."""
+        return self._names.unresolved
 
     async def __aenter__(self) -> Self:
         zenoh = need("zenoh", "agents")
@@ -106,11 +111,13 @@ class ZenohNetwork:
             self._session.declare_subscriber(key, heard, allowed_origin=zenoh.Locality.REMOTE)
             for key in (self._key, GREETINGS)
         ]
+        self._names.begin()
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._names.end()
         session, self._session = self._session, None
         if session is not None:
             await asyncio.get_running_loop().run_in_executor(None, session.close)

@@ -55,6 +55,7 @@ class FakeNetwork:
 
     def __init__(self, name: str, ether: Ether) -> None:
         self.where = "in this process"
+        self.unresolved: Mapping[str, str] = {}
         self._name, self._ether = name, ether
         self._waiting: asyncio.Queue[bytes | None] = asyncio.Queue()
         self._open = False

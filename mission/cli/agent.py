@@ -22,6 +22,7 @@ from mission.cli.options import (
 
 if TYPE_CHECKING:
     from fieldkit.clock import Clock
+    from fieldkit.engine.decentralised.card import Card
     from fieldkit.ports import Network
     from mission.core.mission_file import Mission
 
@@ -127,8 +128,6 @@ def agent(
 
     Example: fieldkit agent mission.toml --hold
     """
-    import asyncio
-
     from fieldkit import plugins
     from fieldkit.clock import RealClock
     from fieldkit.ports import DriverContext
@@ -136,7 +135,6 @@ def agent(
     from mission.core.mission_file import read_mission
     from mission.shell import setups
     from mission.shell.agent_flight import Options, card_of, fly_agent, interrupted, left
-    from mission.shell.hold_all import hold_all
     from mission.shell.terminal import Watch
     from mission.shell.warm_up import warm_up
 
@@ -157,10 +155,7 @@ def agent(
         _watch(mission, network, clock, secret, out, bytes_s, page_host, page_port, as_json=as_json)
         return
     if hold:
-        say(f"says HOLD ALL until all hold, for {HOLD_S:g} s at the most")
-        say(f"looks for robots {network.where}")
-        said = asyncio.run(hold_all(robots, network, card, secret, clock, HOLD_S))
-        _print_held(said, as_json=as_json)
+        _hold(robots, network, card, secret, clock, as_json=as_json)
         return
     setup = setups.of_robot(mission, robot, clock)
     resumed, was_left = (None, None) if anew else (interrupted(out, card, secret), left(out, card, secret))
@@ -246,6 +241,22 @@ def _watch(
     if others := result["not_shown_to_hold"]:
         say(f"NOT CONFIRMED to hold: {', '.join(others)}. {BY_HAND}", always=True)
         raise typer.Exit(UNCONFIRMED_EXIT)
+
+
+def _hold(
+    robots: tuple[str, ...], network: "Network", card: "Card", secret: bytes, clock: "Clock", *, as_json: bool
+) -> None:
+    """HOLD ALL from a computer without a robot."""
+    import asyncio
+
+    from mission.shell.hold_all import hold_all
+
+    say(f"says HOLD ALL until all hold, for {HOLD_S:g} s at the most")
+    say(f"looks for robots {network.where}")
+    said = asyncio.run(
+        hold_all(robots, network, card, secret, clock, HOLD_S, lambda text: say(text, always=True))
+    )
+    _print_held(said, as_json=as_json)
 
 
 def _print_held(said: dict[str, str], *, as_json: bool) -> None:

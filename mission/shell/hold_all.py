@@ -1,6 +1,7 @@
 """HOLD ALL from a computer that has no robot: said until every agent has shown that it obeys, or for a while."""
 
 import asyncio
+from collections.abc import Callable
 
 from fieldkit.clock import Clock
 from fieldkit.engine.decentralised.card import MARK, Card, apart_words, read_card, refusal
@@ -10,21 +11,28 @@ from fieldkit.engine.decentralised.sealing import Seal, session_key
 from fieldkit.engine.decentralised.talk import OPERATOR, Talk, code_of
 from fieldkit.messages import Operator
 from fieldkit.ports import Network
-from mission.shell.others import Refused
+from mission.shell.others import Names, Refused
 
 EVERY_S = 0.25
 """An order is said so often."""
 
 
 async def hold_all(
-    robots: tuple[str, ...], network: Network, card: Card, key: bytes, clock: Clock, patience_s: float
+    robots: tuple[str, ...],
+    network: Network,
+    card: Card,
+    key: bytes,
+    clock: Clock,
+    patience_s: float,
+    say: Callable[[str], None] = lambda _: None,
 ) -> dict[str, str]:
     """Robot to "holds", "has not shown it" or "is not heard", with why where that is known. Returns once all hold.
 
-    An agent that obeys logs the order, so that robots out of reach learn of it from that one: one is enough.
+    `say` is given what the operator is to know meanwhile. An agent that obeys logs the order, so that robots out of
+    reach learn of it from that one: one is enough.
     """
     talk = Talk(Logs(robots[0], robots), Seal(session_key(key, card.common), OPERATOR))
-    others, why = Refused(), dict[str, str]()
+    others, names, why = Refused(), Names(), dict[str, str]()
     order = quantised(Operator(clock.now_ns(), "hold", None, "operator, by --hold"))
     assert isinstance(order, Operator)
     said = {}
@@ -34,6 +42,8 @@ async def hold_all(
         while clock.elapsed_s() < until_s:
             network.publish(talk.say_order(order, clock.now_ns()), urgent=True)
             await clock.sleep(EVERY_S)
+            for news in names.news(network.unresolved):
+                say(news)
             said = {name: _word(talk, name, order, why.get(name) or why.get("", "")) for name in robots}
             if set(said.values()) == {"holds"}:
                 break

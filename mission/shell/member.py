@@ -14,7 +14,7 @@ from fieldkit.engine.decentralised.talk import Talk
 from fieldkit.ports import Network
 from mission.core.lines import Lines
 from mission.shell.journal import Journal
-from mission.shell.others import Contacts, Refused, TeamClock
+from mission.shell.others import Contacts, Names, Refused, TeamClock
 
 CARD_EVERY_S = 5.0
 
@@ -35,6 +35,7 @@ class Member:
     keeps_journal: bool = True
     """Not while its robot's own log may still come back: a journal with less of it would be gone on with."""
     contacts: Contacts = field(init=False)
+    _names: Names = field(default_factory=Names)
     _team_clock: TeamClock = field(init=False)
     _card_s: float = -math.inf
 
@@ -45,6 +46,8 @@ class Member:
     def speak(self, messages: Callable[[int], Iterable[bytes]]) -> None:
         """A tick's words: `messages` are those of a time."""
         if said := self._team_clock.follow():
+            self.say(said)
+        for said in self._names.news(self.network.unresolved):
             self.say(said)
         now_ns, now_s = self.clock.now_ns(), self.clock.elapsed_s()
         if self.keeps_journal:

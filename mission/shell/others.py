@@ -1,6 +1,7 @@
 """Who else is there, said once: those that do not belong to the team, and a clock that is not the team's."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from fieldkit.clock import Clock, RealClock
@@ -51,6 +52,29 @@ class Refused:
             return ""
         self._said.add(said)
         return reason
+
+
+@dataclass
+class Names:
+    """Addresses whose names cannot be resolved, each said once, and again when that changes."""
+
+    _said: dict[str, set[str]] = field(default_factory=dict)
+    """Address to what was said of it since it could last be resolved."""
+
+    def news(self, unresolved: Mapping[str, str]) -> list[str]:
+        """What has changed, in words."""
+        words = []
+        for address, why in unresolved.items():
+            if why not in self._said.setdefault(address, set()):
+                self._said[address].add(why)
+                words.append(
+                    f"{address}: its name cannot be resolved ({why}): nobody is reached there. It goes on trying, as "
+                    "the network may come later; is the name right? An address in numbers needs none"
+                )
+        for address in self._said.keys() - unresolved.keys():
+            del self._said[address]
+            words.append(f"{address}: its name is resolved now")
+        return words
 
 
 @dataclass
