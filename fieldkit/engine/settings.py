@@ -61,6 +61,8 @@ class EngineSettings:
     receivers: Mapping[str, Receiver] = field(default_factory=dict, hash=False)
     """Robots whose radio is not like the calibrated one."""
     seed: int = 0
+    keep_teams: bool = False
+    """Whether robots of a team stay together with every planner; else `infogain` parts and joins robots by need."""
     prior_rule: str = given.PRIOR_RULE
     """SPOG only: literal, uniform, dirichlet or em (notes on PRWA eq 2)."""
     sensing: str = given.SENSING

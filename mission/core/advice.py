@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fieldkit import settings as given
 from mission.core.mission_file import Mission
 
 SATELLITE_GAP_S = 1.5
@@ -28,7 +29,7 @@ def advise(mission: Mission) -> list[str]:
     if mission.kernel.sources_expected is None and mission.kernel.stop_probability_left is None:
         notes.append(f"nothing but the time limit ({mission.kernel.max_duration_s:.0f} s) ends this mission")
     lone = [team[0] for team in engine.teams if len(team) == 1]
-    if lone:
+    if lone and (engine.keep_teams or mission.kernel.planner != given.PLANNER):
         notes.append(
             f"{', '.join(lone)} moves alone: a pair learns more of an unknown power than two single robots"
         )

@@ -4,10 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fieldkit.engine.planning.base import Team
 from fieldkit.messages import Pose, ReceiverState, VehicleState, Waypoint
 from mission.core.kernel_settings import KernelSettings
-
-Team = tuple[str, ...]
 
 
 @dataclass
@@ -31,9 +30,12 @@ class Fleet:
     """All robots of a mission. Events of others are ignored."""
 
     settings: KernelSettings
+    teams: tuple[Team, ...] = ()
+    """Who is planned for together; as the mission states where nothing else is said."""
     robots: dict[str, Robot] = field(init=False)
 
     def __post_init__(self) -> None:
+        self.teams = self.teams or self.settings.engine.teams
         self.robots = {name: Robot() for name in self.settings.engine.robots}
 
     def take_in(self, event: Pose | ReceiverState | VehicleState) -> None:
@@ -66,10 +68,7 @@ class Fleet:
 
     def steerable_teams(self, now_ns: int) -> tuple[Team, ...]:
         """The teams as they are left: without robots that cannot be steered, none of them empty."""
-        teams = (
-            tuple(name for name in team if self.is_steerable(name, now_ns))
-            for team in self.settings.engine.teams
-        )
+        teams = (tuple(name for name in team if self.is_steerable(name, now_ns)) for team in self.teams)
         return tuple(team for team in teams if team)
 
     def positions_m(self) -> dict[str, tuple[float, float]]:

@@ -15,7 +15,7 @@ import numpy as np
 from fieldkit import plugins
 from fieldkit.engine.association.detections import Associator
 from fieldkit.engine.belief.base import Belief, SayingBelief
-from fieldkit.engine.planning.base import Planner, Situation
+from fieldkit.engine.planning.base import Planner, Situation, Team
 from fieldkit.messages import (
     Command,
     Detection,
@@ -33,7 +33,7 @@ from fieldkit.messages import (
     Waypoint,
 )
 from mission.core.endings import Progress, reason_to_end
-from mission.core.fleet import Fleet, Robot, Team
+from mission.core.fleet import Fleet, Robot
 from mission.core.kernel_settings import KernelSettings
 from mission.core.tasks import Task, Tasks
 from mission.core.turns import PlanningTurns
@@ -82,7 +82,7 @@ class Kernel:
         self._warned: set[str] = set()
         self._order: Operator | None = None
         """The last that was noted: of a laptop's order every robot's log has a copy."""
-        self.fleet = Fleet(self.settings)
+        self.fleet = Fleet(self.settings, self.planner.teams(engine.teams))
         self.tasks = Tasks(self.settings, self.fleet)
         self.turns = PlanningTurns(engine)
         self.removed: set[int] = set()

@@ -308,6 +308,7 @@ def _engine(
         reference_rate_hz=file.sources.rate_hz,
         expected_sources=file.sources.expected,
         planning_period_s=table.planning_period_s,
+        keep_teams=table.keep_teams,
         max_speed_m_s=safety.max_speed_m_s,
         max_turn_deg_s=file.safety.max_turn_deg_s,
         min_separation_m=safety.min_separation_m,

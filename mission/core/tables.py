@@ -157,6 +157,8 @@ class EngineTable(Table):
     """A find is this near; without it 2 m or a tenth of the typical range, or without `place_noise` within one cell."""
     planning_period_s: float = value(given.PLANNING_PERIOD_S)
     pose_sigma_m: float = value(given.POSE_SIGMA_M)
+    keep_teams: Flag = False
+    """Robots of a team drive abreast with every planner; else `infogain` parts them and joins any two by need."""
     arrive_m: Annotated[float, bounds(given.ARRIVE_M)] | None = None
     """A robot so near to its way-point has arrived; from speed and positions where not given."""
     prior_rule: Literal["literal", "uniform", "dirichlet", "em"] = given.PRIOR_RULE

@@ -7,8 +7,9 @@ from collections import Counter
 from collections.abc import Container
 from dataclasses import dataclass, field, replace
 
+from fieldkit.engine.planning.base import Team
 from fieldkit.messages import Command, GoTo, Plan, Waypoint
-from mission.core.fleet import Fleet, Team
+from mission.core.fleet import Fleet
 from mission.core.kernel_settings import KernelSettings
 
 SLOWER = 1.6

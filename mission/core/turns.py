@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fieldkit.engine.planning.base import Team
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, SourceEstimate
-from mission.core.fleet import Team
 
 NEWS_RANGES = 2.0
 """Within so many nominal ranges of the loudest source, what a robot hears may be from a source not found yet."""

@@ -106,13 +106,16 @@ def test_a_place_nearly_certain_keeps_a_team_until_one_more_packet_is_heard() ->
     assert before[0] < 0.5, "a stretch of ground not searched yet was worth as much"
 
 
-def test_where_a_team_listens_another_adds_little() -> None:
-    candidate = may_be([(10.0, 10.0)], sd_m=0.6)
+def test_a_packet_that_two_teams_hear_counts_once_and_is_read_at_two_places() -> None:
     first, second = standing((10.0, 10.6)), standing((10.0, 8.5))
-    taken = reward(candidate)
-    alone = taken.of(second, EARS)[0]
-    taken.take(first[0], EARS)
-    assert taken.of(second, EARS)[0] < 0.2 * alone
+    for sd_m, least, most in ((0.05, 0.0, 0.1), (0.6, 0.3, 0.6)):  # a place that is known, one that is not
+        candidate = may_be([(10.0, 10.0)], sd_m=sd_m)
+        taken = reward(candidate)
+        alone = taken.of(second, EARS)[0]
+        taken.take(first[0], EARS)
+        assert least * alone <= taken.of(second, EARS)[0] < most * alone
+    candidate = may_be([(10.0, 10.0)], sd_m=0.6)
+    alone = reward(candidate).of(second, EARS)[0]
     passing = reward(candidate)
     passing.take(standing((10.0, 10.6), *[(20.0, 20.0)] * 9)[0], EARS)
     assert passing.of(second, EARS)[0] > 0.5 * alone, "a team that only passes leaves the rest to others"

@@ -18,7 +18,8 @@ S = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory: pytest.TempPathFactory) -> KernelSettings:
-    return small_mission(tmp_path_factory.mktemp("mission")).kernel
+    kernel = small_mission(tmp_path_factory.mktemp("mission")).kernel
+    return replace(kernel, engine=replace(kernel.engine, keep_teams=True))
 
 
 def started(settings: KernelSettings, mode: str = "guided") -> Kernel:
@@ -36,6 +37,21 @@ def test_the_first_ticks_send_one_team_off_after_another(settings: KernelSetting
         assert {c.robot for c in outcome.commands if isinstance(c, GoTo)} == set(team)
         assert outcome.plan is not None and set(outcome.plan.paths) == set(team)
     assert kernel.step(Tick(len(settings.engine.teams) * S)).plan is None
+
+
+def test_by_need_each_robot_is_sent_off_by_itself(settings: KernelSettings) -> None:
+    kernel = started(replace(settings, engine=replace(settings.engine, keep_teams=False)))
+    sent = [
+        {c.robot for c in kernel.step(Tick(turn * S)).commands if isinstance(c, GoTo)}
+        for turn in range(len(settings.engine.robots))
+    ]
+    assert sent == [{robot} for robot in settings.engine.robots]
+
+
+def test_planners_of_pairs_keep_them(settings: KernelSettings) -> None:
+    parted = replace(settings, engine=replace(settings.engine, keep_teams=False))
+    for planner in ("infogain1", "pair-patrol", "prwa"):
+        assert Kernel(replace(parted, planner=planner)).fleet.teams == settings.engine.teams
 
 
 def test_a_planner_for_all_is_asked_for_all_teams_at_once(settings: KernelSettings) -> None:

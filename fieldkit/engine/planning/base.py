@@ -95,6 +95,10 @@ class PointingBelief(Belief, Protocol):
         ...
 
 
+Team = tuple[str, ...]
+"""Robots that are planned for together."""
+
+
 class Planner(Protocol):
     """Decides where teams go. Deterministic given its own seeded generator.
 
@@ -106,6 +110,10 @@ class Planner(Protocol):
     False: it is asked for all teams together."""
 
     def __init__(self, settings: EngineSettings) -> None: ...
+
+    def teams(self, stated: tuple[Team, ...]) -> tuple[Team, ...]:
+        """Who is planned for together, of the teams that the mission states: as stated, where it says nothing else."""
+        return stated
 
     def plan(self, situation: Situation, belief: Belief) -> Plan:
         """Paths for every robot in `situation.teams`. An empty path means: stay."""

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from fieldkit.engine.belief.base import Belief
-from fieldkit.engine.planning.base import InformativeBelief, Planner, Situation, informative, waypoints
+from fieldkit.engine.planning.base import InformativeBelief, Planner, Situation, Team, informative, waypoints
 from fieldkit.engine.planning.reward import Reward, hearing_of
 from fieldkit.engine.planning.search import Departure, Search, Way
 from fieldkit.engine.settings import EngineSettings
@@ -40,6 +40,12 @@ class InfoGainPlanner(Planner):
     def _table(settings: EngineSettings) -> InfogainTuning:
         """The planner's own table of the tuning."""
         return settings.tuning.infogain
+
+    def teams(self, stated: tuple[Team, ...]) -> tuple[Team, ...]:
+        """Each robot by itself, unless teams are to be kept: two come together where a candidate is worth it."""
+        if self.settings.keep_teams:
+            return stated
+        return tuple((robot,) for team in stated for robot in team)
 
     def plan(self, situation: Situation, belief: Belief) -> Plan:
         """Paths for all teams of the situation. Raises `ConfigError` for a belief that is not informative."""

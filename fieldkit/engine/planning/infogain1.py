@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fieldkit.channel.model import MIN_RANGE_M
 from fieldkit.engine.belief.base import Unresolved
 from fieldkit.engine.planning import path_loops
+from fieldkit.engine.planning.base import Team
 from fieldkit.engine.planning.infogain import InfoGainPlanner
 from fieldkit.engine.planning.reward import Reward
 from fieldkit.engine.settings import EngineSettings
@@ -89,6 +90,10 @@ class InfoGain1Planner(InfoGainPlanner):
 
     NAME: ClassVar = "infogain1"
     REWARD: ClassVar[type[Reward]] = ExpectedReward
+
+    def teams(self, stated: tuple[Team, ...]) -> tuple[Team, ...]:
+        """As stated: it was made for pairs."""
+        return stated
 
     @staticmethod
     def _table(settings: EngineSettings) -> InfogainTuning:

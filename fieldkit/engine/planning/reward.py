@@ -6,7 +6,7 @@ information. A find counts by the probability that it lies a cell off, and by th
 
 Progress is taken at each sample of where and how strong a candidate may be, and then averaged: a path that learns all
 if the source is here and nothing if it is there makes half the progress, however much it learns here. Power counts as
-unknown. Of packets that one team hears anyway, another team learns little that is still needed.
+unknown. A packet that two teams hear counts once, and is read at two places.
 """
 
 import math
@@ -137,10 +137,12 @@ class Reward:
     def _with(self, before: FloatArray, information: FloatArray) -> FloatArray:
         """(n, k, 7): what is learnt (k, 7) and a further track's (n, k, 7) come to.
 
-        Of packets that a team hears anyway, another team would learn little that is still needed.
+        A packet that two hear is one packet, read at two places.
         """
         free = 1.0 - np.minimum(before[:, :1] / self._horizon_s, 1.0)
-        return np.asarray(before + free * information)
+        both = before + information
+        both[..., :1] = before[:, :1] + free * information[..., :1]
+        return np.asarray(both)
 
     def _is_heard(self, information: FloatArray) -> NDArray[np.bool_]:
         """(n,) whether tracks are near enough to a candidate to learn anything."""
