@@ -15,7 +15,7 @@ from fieldkit import settings as given
 from fieldkit.engine.decentralised.logs import Logs, Part
 from fieldkit.engine.decentralised.sealing import STAMP_EPOCH_NS, Seal, session_key
 from fieldkit.engine.decentralised.talk import Talk
-from fieldkit.messages import Command, EndMission, Event, GoTo, Operator, Tick, VehicleState
+from fieldkit.messages import Command, EndMission, Event, GoTo, Hold, Operator, Tick, VehicleState
 from fieldkit.world.network import Air, Network
 from mission.core.agent import Agent
 from mission.core.kernel import Kernel
@@ -243,6 +243,7 @@ class Flock:
     def _obey(self, name: str, command: Command) -> None:
         if isinstance(command, EndMission):
             self.ended[name] = command.reason
+            self.safety[name].judge((Hold(command.t_ns, name, command.reason),))
             self.world.rovers[name].stop()
         elif command.robot == name:
             self.agents[name].ordered(command)

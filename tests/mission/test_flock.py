@@ -38,6 +38,7 @@ def settings(**more: object) -> KernelSettings:
         reference_rate_hz=0.2,
         min_separation_m=0.5,
         seed=1,
+        keep_teams=True,
     )
     return KernelSettings(engine, **{"max_duration_s": 1e6, **more})  # type: ignore[arg-type]
 
