@@ -68,6 +68,8 @@ class Watched:
     """Where it was first seen."""
     target: Segment | None = None
     """Our last word to it was this segment; None: to hold, or nothing."""
+    holds_since_ns: int = LONG_AGO_NS
+    """When it first said that it holds."""
     ordered: str = ""
     """A standing order that only the operator lifts: "hold", "return", "release" or "withdraw"."""
     radio_down_ns: int | None = None
@@ -134,6 +136,11 @@ class Watched:
         return self.vehicle is not None and self.vehicle.mode == "hold" and self.vehicle.link_up
 
     @property
+    def seen_to_hold(self) -> bool:
+        """It holds, and its position is from then: one from before says not where it came to stand."""
+        return self.holds and self.pose is not None and self.pose.t_ns >= self.holds_since_ns
+
+    @property
     def somebody_elses(self) -> bool:
         """Somebody else steers it: it is not ours to stop. Of one that is not heard nobody knows."""
         return self.vehicle is not None and self.vehicle.link_up and self.vehicle.mode == "other"
@@ -141,13 +148,13 @@ class Watched:
     def segment(self) -> Segment | None:
         """What is left of its segment; None where its place is not known.
 
-        One that was ordered to stop is taken to drive on until it says that it holds, or for `FADING_S`.
+        One that was ordered to stop is taken to drive on until it has been seen since it held, or for `FADING_S`.
         """
         here = self.place_m
         if here is None:
             return None
         drives = self.target
-        if drives is None and not self.holds and (self.now_ns - self.stopped_ns) * 1e-9 < FADING_S:
+        if drives is None and not self.seen_to_hold and (self.now_ns - self.stopped_ns) * 1e-9 < FADING_S:
             drives = self.fading
         return standing(here) if drives is None else Segment(here, drives.end_m, drives.speed_m_s)
 
@@ -276,6 +283,12 @@ class Watched:
         should_m = max(0.1, 0.2 * min(self.target.speed_m_s * settings.stall_s, segment.length_m))
         if segment.length_m < max(0.5, settings.near_m) or math.dist(here, self.progress_m) >= should_m:
             self.progress_m, self.progress_ns = here, pose.t_ns
+
+    def hear_vehicle(self, state: VehicleState) -> None:
+        """Its vehicle says what it does."""
+        held, self.vehicle = self.holds, state
+        if self.holds and not held:
+            self.holds_since_ns = state.t_ns
 
     def hear(self, state: ReceiverState) -> None:
         """Its radio came up or went down."""

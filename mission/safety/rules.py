@@ -72,7 +72,7 @@ class Safety:
             case Pose() if event.robot in self.robots:
                 self.robots[event.robot].see(event, self.settings)
             case VehicleState() if event.robot in self.robots:
-                self.robots[event.robot].vehicle = event
+                self.robots[event.robot].hear_vehicle(event)
             case ReceiverState() if event.robot in self.robots:
                 self.robots[event.robot].hear(event)
             case Operator():

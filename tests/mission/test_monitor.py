@@ -93,6 +93,22 @@ def test_a_robot_never_seen_has_no_position() -> None:
     assert Watched("a").place_m is None
 
 
+def test_one_that_holds_stands_where_it_is_seen_from_then_on() -> None:
+    """Where messages are lost the word that it holds may come before the positions of its last metre."""
+    robot = Watched("a")
+    robot.see(pose(9.0, 20.0), LIMITS)
+    robot.send(Segment((20.0, 20.0), (30.0, 20.0), 0.4), ns(9.0))
+    robot.now_ns = ns(10.0)
+    robot.stop()
+    robot.hear_vehicle(VehicleState(ns(10.5), "a", "hold", True))
+    way = robot.segment()
+    assert way is not None and way.end_m == (30.0, 20.0), "its last position is from before it held"
+    robot.see(pose(10.5, 20.5), LIMITS)
+    robot.hear_vehicle(VehicleState(ns(11.0), "a", "hold", True))
+    way = robot.segment()
+    assert way is not None and way.length_m == 0.0 and way.end_m[0] == 20.5
+
+
 @pytest.mark.parametrize("further_m", [-0.01, 0.01])
 @pytest.mark.parametrize(("speed_m_s", "passed_s", "sigma_m"), [(1, 1, 0), (1, 0, 0), (3, 1, 0), (1, 4, 0.5)])
 def test_no_robot_gets_further_than_three_times_its_speed_and_its_positions_noise(
