@@ -46,6 +46,8 @@ ASK_AGAIN_S = 1.0
 
 Each agent's safety knows others by what they say that they do, not by what they are about to do.
 """
+LATELY_S = 1.5
+"""So long the word of one that the plan has sent may be under way: it is said at every tick, and one may be lost."""
 ORDERS_APART_S = 5.0
 """A hold so much older than a resume that came before it is void; by clocks of two robots one cannot say closer."""
 
@@ -65,7 +67,8 @@ class Agent:
     """What has come to be known of others since the last tick, as it came."""
     beside: tuple[GoTo, ...] = ()
     """Where the line that it acts on sends others at this tick: those before its own robot, or all where that is only
-    given what it was refused. The later one gives way: its safety is told of the others', theirs is not of its."""
+    given what it was refused; and where it has sent them just before, since their own word of it may be lost. The later
+    one gives way: its safety is told of the others', theirs is not of its."""
     patience_s: float = AGENT_WAIT_S.default
     """So long after its first tick it waits for robots that nobody has heard of."""
     _obeyed: set[Operator] = field(default_factory=set)
@@ -73,6 +76,8 @@ class Agent:
     _resumed_ns: int = 0
     _let_go_ns: int = 0
     """When its robot was last told something else than to hold."""
+    _lately: dict[str, tuple[int, GoTo]] = field(default_factory=dict)
+    """Other robots to when the line that it acts on sent them, and where."""
     _ready: bool = False
     _early: dict[type, Observation] = field(default_factory=dict)
     """Its own last pose and states from before its first tick."""
@@ -268,7 +273,7 @@ class Agent:
         outcomes = self.lines.step(now_ns)
         planned = [command for outcome in outcomes for command in outcome.commands]
         commands = [each for each in planned if isinstance(each, EndMission) or each.robot == self.me]
-        self.beside = self._sent_before(planned)
+        self.beside = self._sent_before(planned) + self._sent_lately(planned, now_ns)
         changed = self.line is not line or not followed
         refused = self._target is None and (now_ns - self._asked_ns) * 1e-9 >= ASK_AGAIN_S
         if self.lines.follows and not commands and (changed or refused):
@@ -293,6 +298,22 @@ class Agent:
         names = list(last)
         before = names[: names.index(self.me)] if self.me in last else names
         return tuple(each for name in before if isinstance(each := last[name], GoTo))
+
+    def _sent_lately(self, planned: list[Command], now_ns: int) -> tuple[GoTo, ...]:
+        """Where the line has sent others at the ticks before, and not elsewhere since."""
+        self._lately = {
+            name: (sent_ns, order)
+            for name, (sent_ns, order) in self._lately.items()
+            if (now_ns - sent_ns) * 1e-9 <= LATELY_S
+        }
+        for command in planned:
+            if not isinstance(command, EndMission):
+                self._lately.pop(command.robot, None)
+        lately = tuple(order for _, order in self._lately.values())
+        for command in planned:
+            if isinstance(command, GoTo) and command.robot != self.me:
+                self._lately[command.robot] = now_ns, command
+        return lately
 
     def _standing(self, now_ns: int) -> dict[str, list[Command]]:
         """What a line that it now acts on has robots do."""

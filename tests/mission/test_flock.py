@@ -306,3 +306,13 @@ def test_an_agent_tells_its_safety_where_the_plan_sends_those_before_it() -> Non
     first.lines.follows = False
     first.step(Tick(team.now_ns("r1")))
     assert first.beside == ()
+
+
+def test_it_is_told_as_well_where_the_plan_has_just_sent_others() -> None:
+    """Their own word of it may have been lost; by need, robots are sent off tick after tick."""
+    me = flock().agents["r2"]
+    other = GoTo(0, "r1", Waypoint(5.0, 5.0, 0.4))
+    assert me._sent_lately([other], 10 * S) == ()
+    assert me._sent_lately([], 11 * S) == (other,)
+    assert me._sent_lately([Hold(0, "r1", "")], 11 * S + 1) == ()
+    assert me._sent_lately([other], 12 * S) == () and me._sent_lately([], 14 * S) == ()
