@@ -89,3 +89,31 @@ def test_the_ground_reaches_one_longest_range_beyond_in_as_few_cells_as_allowed(
     middles[:] = grid.east_m
     assert np.abs(ground.of_field(middles) - settings.grid.east_m).max() <= grid.cell_m / 2
     assert grid.cell_of(*grid.centres_m[17]) == (17 // grid.n_east, 17 % grid.n_east)
+
+
+def test_a_field_whose_corner_is_not_the_origin_is_searched_as_any_other() -> None:
+    """The part of a wide ground that a belief is of lies where it lies."""
+    corner_m = np.array([100.0, -40.0])
+    believed = []
+    for at_m in (np.zeros(2), corner_m):
+        rng = np.random.default_rng(3)
+        grid = replace(FIELD.grid, west_m=float(at_m[0]), south_m=float(at_m[1]))
+        belief = IntensityBelief(replace(FIELD, grid=grid))
+        for k in range(30):
+            place = rng.uniform(0.0, 12.0, (2, 2))
+            z = RADIO.mean_rss_dbm(np.hypot(*(place - (4.0, 7.0)).T), 0.0) + rng.normal(0.0, 2.0, 2)
+            z = np.where(np.round(z) > RADIO.threshold_dbm, np.round(z), np.nan)
+            zero = np.zeros(2)
+            belief.listen(Listening(10 * k * S, 10 * (k + 1) * S, ("a", "b"), at_m + place, zero, zero, zero))
+            if not np.isnan(z).all():
+                belief.detect(Detection(10 * k * S, ("a", "b"), at_m + place, zero, z, zero > 0.0))
+        believed.append(belief)
+    here, there = believed
+    mine, theirs = here.sources(), there.sources()
+    assert [each.state for each in mine] == [each.state for each in theirs] and mine
+    for one, other in zip(mine, theirs, strict=True):
+        assert (other.east_m - 100.0, other.north_m + 40.0) == pytest.approx(
+            (one.east_m, one.north_m), abs=0.05
+        )
+    assert there.presence() == pytest.approx(here.presence(), abs=0.05)
+    assert "about 0.7 m beyond" in there.mixture.ground.said_of(np.array([112.7, -34.0]))

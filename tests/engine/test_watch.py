@@ -117,3 +117,23 @@ def test_sources_that_all_read_stronger_than_was_told_are_said_once() -> None:
         said += belief.said()
     common = [text for text in said if "beyond the power levels" in text]
     assert len(common) == 1 and "+8 dB" in common[0]
+
+
+def test_receivers_heard_no_more_keep_their_offset_and_others_are_compared_with_them() -> None:
+    belief, _ = heard(1, offset_db=(0.0, 6.0, 0.0), packets=60)
+    learnt = belief.mixture.watch.offsets_db()
+    assert learnt.keys() == {"b"}
+    belief.part_with_robots()
+    assert not belief.mixture.watch.of and belief.mixture.watch.offsets_db() == learnt
+    rng, said, names = np.random.default_rng(2), [], ("d", "e", "f")
+    for k in range(60, 120):  # another day, and another receiver that reads too much
+        place = rng.uniform(4.0, 16.0, (3, 2))
+        z = RADIO.mean_rss_dbm(np.hypot(*(place - SOURCE).T)) + rng.normal(0.0, 3.0, 3)
+        z = np.where(np.round(z) > RADIO.threshold_dbm, np.round(z) + np.array([0.0, 6.0, 0.0]), np.nan)
+        belief.listen(Listening(20 * k * S, 20 * (k + 1) * S, names, place))
+        belief.detect(Detection(20 * k * S, names, place, np.zeros(3), z, np.zeros(3, bool)))
+        said += belief.said()
+    assert belief.mixture.watch.of.keys() == set(names)
+    assert any(text.startswith("e: reports ") for text in said) and not any(text[0] in "abc" for text in said)
+    assert belief.mixture.watch.offsets_db()["b"] == learnt["b"]
+    assert belief.mixture.ears.receivers["b"].offset_db == learnt["b"]

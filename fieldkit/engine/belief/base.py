@@ -49,6 +49,15 @@ class SayingBelief(Protocol):
         ...
 
 
+@runtime_checkable
+class PartingBelief(Protocol):
+    """A belief that watches receivers, and can be told which it need watch no more."""
+
+    def part_with_robots(self) -> None:
+        """All robots so far are heard no more: others come. What was learnt of their receivers stays."""
+        ...
+
+
 class RidgedBelief(Protocol):
     """What planners that look for ridges need of a belief."""
 

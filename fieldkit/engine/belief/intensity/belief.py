@@ -76,6 +76,10 @@ class IntensityBelief:
         changed, self._silent = silent != self._silent, silent
         return changed
 
+    def part_with_robots(self) -> None:
+        """All robots so far are heard no more: others come. What was learnt of their receivers stays."""
+        self.mixture.watch.close(self.mixture.spread)
+
     def said(self) -> list[str]:
         """What is new to say of the receivers since this was last asked."""
         said, self.mixture.said = self.mixture.said, []
@@ -253,8 +257,8 @@ class IntensityBelief:
     def _cells_of(self, candidate: Candidate) -> tuple[NDArray[np.intp], FloatArray]:
         """Flat indices of cells of the field, and the posterior of each; what lies outside is left out."""
         points, place = self._spread_out(candidate)
-        column = np.floor(points[:, 0] / self.grid.cell_m).astype(int)
-        row = np.floor(points[:, 1] / self.grid.cell_m).astype(int)
+        column = np.floor((points[:, 0] - self.grid.west_m) / self.grid.cell_m).astype(int)
+        row = np.floor((points[:, 1] - self.grid.south_m) / self.grid.cell_m).astype(int)
         inside = (row >= 0) & (row < self.grid.n_north) & (column >= 0) & (column < self.grid.n_east)
         flat = (row * self.grid.n_east + column)[inside]
         cells = np.unique(flat)

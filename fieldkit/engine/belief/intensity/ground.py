@@ -39,8 +39,13 @@ class Ground:
         Half of what is believed of a source on the border lies beyond it: without grace such a source would be outside
         in every other mission.
         """
-        size_m = np.array([self.field.size_east_m, self.field.size_north_m])
-        return np.asarray(((points_m >= -grace_m) & (points_m <= size_m + grace_m)).all(axis=1))
+        low_m, high_m = self._corners_m()
+        return np.asarray(((points_m >= low_m - grace_m) & (points_m <= high_m + grace_m)).all(axis=1))
+
+    def _corners_m(self) -> tuple[FloatArray, FloatArray]:
+        """(2,) and (2,): east and north of the field's south-west and north-east corners."""
+        low_m = np.array([self.field.west_m, self.field.south_m])
+        return low_m, low_m + np.array([self.field.size_east_m, self.field.size_north_m])
 
     @property
     def sources_a_cell(self) -> float:
@@ -49,9 +54,9 @@ class Ground:
 
     def said_of(self, place_m: FloatArray) -> str:
         """Where a place outside the field is, seen from its middle."""
-        size_m = np.array([self.field.size_east_m, self.field.size_north_m])
-        east_m, north_m = place_m - size_m / 2.0
-        beyond_m = float(np.hypot(*(np.clip(place_m, 0.0, size_m) - place_m)))
+        low_m, high_m = self._corners_m()
+        east_m, north_m = place_m - (low_m + high_m) / 2.0
+        beyond_m = float(np.hypot(*(np.clip(place_m, low_m, high_m) - place_m)))
         bearing_deg = math.degrees(math.atan2(east_m, north_m)) % 360.0
         digits = 1 if beyond_m < 2.0 else 0
         beyond = f"about {beyond_m:.{digits}f} m beyond its border"
@@ -72,8 +77,8 @@ def ground_of(settings: EngineSettings, most_cells: int) -> Ground:
         n_north = math.ceil(field.n_north / factor) + 2 * beyond
         cells, blurred = n_east * n_north, cell_m + field.cell_m <= blurred_m
         if factor > 64 or cells <= most_cells or (cells <= 2 * field.n_cells and not blurred):
-            west_m = -beyond * cell_m
-            grid = Grid(n_east * cell_m, n_north * cell_m, cell_m, west_m, west_m)
+            west_m, south_m = field.west_m - beyond * cell_m, field.south_m - beyond * cell_m
+            grid = Grid(n_east * cell_m, n_north * cell_m, cell_m, west_m, south_m)
             return Ground(field, grid, factor, beyond, blurred_m)
         factor += 1
 

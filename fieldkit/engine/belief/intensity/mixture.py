@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fieldkit.channel.spread import assumed
 from fieldkit.engine.belief.intensity import births, hypotheses
 from fieldkit.engine.belief.intensity.arena import Arena, Row
 from fieldkit.engine.belief.intensity.candidate import Candidate, Summary, summarise
@@ -61,27 +62,12 @@ class Mixture:
         self.field = settings.grid
         self.ground = ground_of(settings, self.tuning.ground_cells)
         self.grid = self.ground.grid
-        point_sigma_m = self.tuning.fine_cells * settings.grid.cell_m / np.sqrt(12.0)
-        self.ears = Ears(
-            settings.antenna,
-            settings.source_up_m,
-            settings.spread.elevation if settings.spread is not None else 0.0,
-            settings.receivers,
-            float(point_sigma_m),
-            settings.pose_sigma_m,
-            settings.spread.receiver_db if settings.spread is not None else 0.0,
-            frozenset(robot for robot, radio in settings.receivers.items() if radio.offset_measured),
-        )
-        self.model = LevelsModel(
-            settings.antenna,
-            levels_of(settings.power_levels_db, settings.spread),
-            float(np.hypot(settings.pose_sigma_m, point_sigma_m)),
-            settings.tuning.likelihood,
-            self.ears,
-        )
+        self.ears = ears_of(settings)
+        self.model = model_of(settings, self.ears)
+        self.spread = settings.spread or assumed(settings.antenna)
         self.exposure_s = np.zeros((self.model.power_db.size, *self.grid.shape))
         """(h - 1, rows, columns of the ground): P(some robot hears) integrated over the time listened, by power."""
-        self.cell_ears = replace(self.ears, point_sigma_m=float(point_sigma_m * self.ground.factor))
+        self.cell_ears = replace(self.ears, point_sigma_m=_point_sigma_m(settings) * self.ground.factor)
         """As the ears, for likelihoods over the ground's cells."""
         self.places = (
             PlaceNoise(self.model, settings.spread, settings.reference_rate_hz)
@@ -391,3 +377,34 @@ class Mixture:
             for number, responsibility in candidate.responsibility.items():
                 self.unclaimed[number] = min(1.0, self.unclaimed[number] + responsibility)
             self.remove(candidate)
+
+
+def _point_sigma_m(settings: EngineSettings) -> float:
+    """How far a source is from the point that stands for its place."""
+    return float(settings.tuning.intensity.fine_cells * settings.grid.cell_m / np.sqrt(12.0))
+
+
+def ears_of(settings: EngineSettings) -> Ears:
+    """The receivers of a mission, as the likelihood sees them."""
+    spread = settings.spread
+    return Ears(
+        settings.antenna,
+        settings.source_up_m,
+        spread.elevation if spread is not None else 0.0,
+        settings.receivers,
+        _point_sigma_m(settings),
+        settings.pose_sigma_m,
+        spread.receiver_db if spread is not None else 0.0,
+        frozenset(robot for robot, radio in settings.receivers.items() if radio.offset_measured),
+    )
+
+
+def model_of(settings: EngineSettings, ears: Ears) -> LevelsModel:
+    """What its receivers hear of a source of which power; its `reach_m` is the longest range of one that is known."""
+    return LevelsModel(
+        settings.antenna,
+        levels_of(settings.power_levels_db, settings.spread),
+        float(np.hypot(settings.pose_sigma_m, _point_sigma_m(settings))),
+        settings.tuning.likelihood,
+        ears,
+    )

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import bdtr, ndtr
 
 from fieldkit.channel.antenna_file import Receiver
-from fieldkit.channel.spread import ChannelSpread, assumed
+from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.belief.intensity.candidate import Candidate
 from fieldkit.engine.likelihood.ears_loops import THRESHOLD
 from fieldkit.messages import Detection, part_of
@@ -78,6 +78,9 @@ class Watch:
 
     def __init__(self) -> None:
         self.of: dict[str, Heard] = {}
+        self._closed: dict[str, Mean] = {}
+        """Receivers heard no more: what others are still compared with."""
+        self._closed_offsets_db: dict[str, float] = {}
         self._common_said = False
 
     def take_in(self, mixture: "Mixture", detection: Detection, sender: Candidate) -> None:
@@ -109,13 +112,24 @@ class Watch:
                 new = Measured(float(rss - expected), float(sd), float(at[0]), float(at[1]), sender.ident)
                 its.measured = [*its.measured, new][-LAST:]
 
+    def close(self, spread: ChannelSpread) -> None:
+        """Receivers so far are heard no more: each is judged no more, and others go on being compared with it."""
+        self._closed_offsets_db = self.offsets_db()
+        self._closed |= {robot: mean_of(its.measured, spread) for robot, its in self.of.items()}
+        self.of = {}
+
+    def offsets_db(self) -> dict[str, float]:
+        """Robot to what is taken off its readings, where that is something."""
+        now = {robot: its.offset_db for robot, its in self.of.items() if its.offset_db != 0.0}
+        return self._closed_offsets_db | now
+
     def judge(self, spread: ChannelSpread, robots: int) -> list[str]:
         """What is new to say of this many receivers; offsets and insensitivity are brought up to date.
 
         Of three receivers one is compared with two: of two that differ nobody can say which is off.
         """
         said = []
-        means = {robot: mean_of(its.measured, spread) for robot, its in self.of.items()}
+        means = self._closed | {robot: mean_of(its.measured, spread) for robot, its in self.of.items()}
         for robot, its in self.of.items():
             said += self._judge_sensitivity(robot, its)
             said += self._judge_offset(robot, its, means, min(2, robots - 1))
@@ -230,14 +244,13 @@ def watch_receivers(mixture: "Mixture", detections: Sequence[Detection]) -> None
             known = candidate.receptions >= WATCHED_FROM and mixture.summary(candidate).p_here >= 0.5
             if known and candidate.responsibility.get(number, 0.0) >= 0.9:
                 mixture.watch.take_in(mixture, mixture.ears.corrected(detection), candidate)
-    spread = mixture.settings.spread or assumed(mixture.settings.antenna)
-    before = {robot: its.offset_db for robot, its in mixture.watch.of.items()}
+    before = mixture.watch.offsets_db()
     mixture.said += [
-        *mixture.watch.judge(spread, len(mixture.settings.robots)),
+        *mixture.watch.judge(mixture.spread, len(mixture.settings.robots)),
         *mixture.watch.common(mixture),
     ]
-    learnt = {robot: its.offset_db for robot, its in mixture.watch.of.items() if its.offset_db != 0.0}
-    if learnt and learnt != {robot: offset for robot, offset in before.items() if offset != 0.0}:
+    learnt = mixture.watch.offsets_db()
+    if learnt and learnt != before:
         _correct(mixture, learnt)
 
 
