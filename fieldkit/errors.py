@@ -16,7 +16,7 @@ A message names the thing, what was expected, what came, and what to try. Comman
 """
 
 import errno
-from typing import ClassVar
+from typing import Any, ClassVar
 
 
 class FieldkitError(Exception):
@@ -71,6 +71,10 @@ class NotWritten(FieldkitError, OSError):
     def __init__(self, path: object, error: OSError) -> None:
         remedy = self.REMEDIES.get(error.errno or 0, "write to another folder")
         super().__init__(f"{path}: cannot be written ({os_words(error)}); {remedy}")
+        self._made_of = path, error
+
+    def __reduce__(self) -> tuple[Any, ...]:  # it travels from worker processes
+        return type(self), self._made_of
 
 
 class DeviceError(FieldkitError, OSError):

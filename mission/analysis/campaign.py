@@ -7,17 +7,16 @@ cores or to a Dask cluster that sees the same folders.
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures import as_completed as done_here
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fieldkit.errors import ConfigError, DataError, FieldkitError
+from fieldkit.errors import DataError, FieldkitError
 from fieldkit.extras import need
 from fieldkit.files import write_whole
 from fieldkit.recording.reader import is_later_part
+from mission.analysis.pool import each_done
 
 VIEWS = ("missions", "sources", "readings", "detections")
 SUMMARY = """
@@ -153,43 +152,17 @@ def run(
 ) -> tuple[int, list[dict[str, Any]]]:
     """Do all jobs not done yet; how many that were, and what could not be taken in.
 
-    Raises `ConfigError` where no Dask scheduler answers at `dask`.
+    Raises `ConfigError` where no Dask scheduler answers at `dask`, `DataError` where workers are killed repeatedly.
     """
     left = [job for job in jobs if not (Path(job.results) / "missions" / f"{job.key}.parquet").exists()]
     refused = []
     finished = len(jobs) - len(left)
-    outcomes = _on_dask(left, dask) if dask else _here(left, workers)
-    for outcome in outcomes:
+    for _, outcome in each_done(take_in, left, workers=workers, dask=dask):
         finished += 1
         if "error" in outcome:
             refused.append(outcome)
         progress(finished, len(jobs), str(outcome["recording"]))
     return len(left), refused
-
-
-def _here(jobs: Sequence[Job], workers: int | None) -> Iterator[dict[str, Any]]:
-    if not jobs:
-        return
-    if workers == 1 or len(jobs) == 1:
-        yield from map(take_in, jobs)
-        return
-    with ProcessPoolExecutor(workers) as pool:
-        for future in done_here([pool.submit(take_in, job) for job in jobs]):
-            yield future.result()
-
-
-def _on_dask(jobs: Sequence[Job], address: str) -> Iterator[dict[str, Any]]:
-    distributed = need("distributed", "fleet")
-    try:
-        client = distributed.Client(address, timeout="10s")
-    except (OSError, TimeoutError, ValueError) as error:
-        raise ConfigError(
-            f"--dask {address}: no scheduler answers there ({error}); start one with 'dask scheduler' and workers that "
-            "see the same folders"
-        ) from error
-    with client:
-        for future in distributed.as_completed([client.submit(take_in, job, pure=False) for job in jobs]):
-            yield future.result()
 
 
 def ask(results: Path, jobs: Sequence[Job], sql: str = "") -> tuple[list[str], list[tuple[Any, ...]]]:
