@@ -124,6 +124,8 @@ PAGE_HOST: Final = "127.0.0.1"
 PAGE_PORT = 8321
 COMPARED_BY: Final = "planner"
 """How `fieldkit compare` groups missions."""
+MOST_TILES = 10_000
+"""So many tiles may be asked for by `fieldkit refit --tiles`."""
 
 # -- what is drawn -------------------------------------------------------------------------------------------
 

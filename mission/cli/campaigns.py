@@ -1,4 +1,4 @@
-"""`fieldkit compare` and `fieldkit analyze`: many recordings at once. Heavy imports stay inside the commands."""
+"""`fieldkit compare`, `analyze` and `refit`: many recordings at once. Heavy imports stay inside the commands."""
 
 import json
 import os
@@ -138,43 +138,86 @@ def refit(
         list[str] | None,
         typer.Option("--set", metavar="TABLE.KEY=VALUE", help="With this changed in every mission; repeat."),
     ] = None,
+    work: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for finished pieces, which another run takes as they are; default: OUT.work, where --out is."
+        ),
+    ] = None,
+    dask: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to do the work.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes here; default: one a core.")] = None,
+    tiles: Annotated[
+        str,
+        typer.Option(
+            metavar="EASTxNORTH", help="Tiles the ground is parted in; default: as is the least work."
+        ),
+    ] = "",
     as_json: _JSON = False,
 ) -> None:
     """Find the sources of a whole campaign: everything heard in many missions, on all days, by one belief.
 
-    A source that no mission heard often enough by itself may be found by all of them together. Exit code 2 where a
-    recording could not be read; the others are in.
+    A source that no mission heard often enough by itself may be found by all of them together. What has been done is
+    not done again, also after an interruption. Exit code 2 where a recording could not be read; the others are in.
 
     Example: fieldkit refit runs/*/mission.mcap -o campaign.geojson
     """
     from fieldkit.console import progress
-    from fieldkit.files import write_whole
+    from fieldkit.files import is_stream, write_whole
     from mission.analysis import refit as campaign
     from mission.maps.geojson import collection
     from mission.replay.command import Changes
-    from mission.shell.terminal import sources_table
 
+    beside = (
+        out.with_name(out.name + ".work") if out is not None and out.name and not is_stream(out) else None
+    )
+    by = campaign.Work(work or beside, workers, dask, _tiles(tiles))
+    what_if = Changes(antenna=antenna, keys=tuple(changes or ()), what_if=True)
     with progress("taking in") as report:
-        done = campaign.refit(logs, Changes(antenna=antenna, keys=tuple(changes or ()), what_if=True), report)
+        done = campaign.refit(logs, what_if, report, by)
     plain = campaign.plain(done)
     if out is not None:
         write_whole(out, json.dumps(collection(done.present()), indent=1))
-    if as_json:
-        typer.echo(json.dumps(plain | {"written": None if out is None else str(out)}, indent=2))
-    else:
-        typer.echo(
-            f"{_count(plain['recordings'], 'recording')} in {_count(plain['sessions'], 'session')}, "
-            f"{_count(plain['detections'], 'transmission')}; "
-            f"metres from {plain['origin_lat_deg']:.7f}, {plain['origin_lon_deg']:.7f}"
-        )
-        sources_table(plain["sources"], plain["detections"])
-        typer.echo(f"the probability that one is left is {plain['probability_left']:.2f}")
-        if out is not None:
-            typer.echo(f"written: {out}")
-        for each in (*plain["refused"], *plain["missing"]):
-            typer.echo(f"not all taken in: {each}", err=True)
+    _say(plain, out, as_json)
     if plain["refused"]:
         raise typer.Exit(2)
+
+
+def _say(plain: dict[str, Any], out: Path | None, as_json: bool) -> None:
+    """What `fieldkit refit` found, as JSON or in words."""
+    from mission.shell.terminal import sources_table
+
+    if as_json:
+        typer.echo(json.dumps(plain | {"written": None if out is None else str(out)}, indent=2))
+        return
+    typer.echo(
+        f"{_count(plain['recordings'], 'recording')} in {_count(plain['sessions'], 'session')}, "
+        f"{_count(plain['detections'], 'transmission')}; "
+        f"metres from {plain['origin_lat_deg']:.7f}, {plain['origin_lon_deg']:.7f}"
+    )
+    if plain["tiles"] > 1:
+        unheard = plain["tiles_nobody_was_near"]
+        alone = f"; nobody came near {unheard} of them" if unheard else ""
+        typer.echo(f"the ground was parted in {plain['tiles']} tiles{alone}")
+    sources_table(plain["sources"], plain["detections"])
+    typer.echo(f"the probability that one is left is {plain['probability_left']:.2f}")
+    if out is not None:
+        typer.echo(f"written: {out}")
+    for each in (*plain["refused"], *plain["missing"]):
+        typer.echo(f"not all taken in: {each}", err=True)
+
+
+def _tiles(text: str) -> tuple[int, int] | None:
+    """`3x2` as two numbers. Raises `ConfigError`."""
+    from fieldkit.errors import ConfigError
+
+    if not text:
+        return None
+    east, x, north = text.partition("x")
+    if not (x and east.isdecimal() and north.isdecimal() and 0 < int(east) * int(north) <= given.MOST_TILES):
+        raise ConfigError(
+            f"--tiles: expected two numbers as 3x2, at most {given.MOST_TILES} tiles in all, got '{text}'"
+        )
+    return int(east), int(north)
 
 
 def _count(number: int, of: str) -> str:

@@ -13,7 +13,8 @@ from fieldkit.errors import DataError
 from fieldkit.recording.reader import open_recording
 from fieldkit.recording.writer import RecordingWriter
 from fieldkit.world.sources import TransientSource
-from mission.analysis.refit import Refitted, common_ground, refit
+from mission.analysis.refit import Refitted, refit
+from mission.analysis.refit_ground import common_ground
 from mission.core.mission_file import Mission, read_mission
 from mission.lab.synthetic import small_mission
 from mission.replay.command import Changes
@@ -53,16 +54,15 @@ def test_of_one_recording_it_is_the_belief_of_its_replay(logs: list[Path]) -> No
     done = refit(logs[:1], Changes())
     flown = replay(logs[0]).kernel
     mine, theirs = (
-        sorted((s.east_m, s.north_m) for s in kernel.sources() if s.state == "found")
-        for kernel in (done, flown)
+        sorted((s.east_m, s.north_m) for s in its.sources() if s.state == "found") for its in (done, flown)
     )
     # What is heard in a mission's last moment stands in its recording, and nobody thinks about it any more.
-    assert 0 <= done.kernel.detections - flown.detections <= 1
+    assert 0 <= done.detections - flown.detections <= 1
     assert np.array(mine) == pytest.approx(np.array(theirs), abs=0.1)
 
 
 def test_together_they_know_where_the_sources_are(both: Refitted) -> None:
-    assert both.sessions == 2 and both.kernel.detections > 40, "one source sends 24 times in either"
+    assert both.sessions == 2 and both.detections > 40, "one source sends 24 times in either"
     places = np.array([(s.east_m, s.north_m) for s in both.sources() if s.state == "found"])
     for source in HIDDEN:
         assert np.hypot(*(places - (source.east_m, source.north_m)).T).min() < 1.0
@@ -70,7 +70,7 @@ def test_together_they_know_where_the_sources_are(both: Refitted) -> None:
 
 
 def test_the_order_in_which_they_are_named_changes_nothing(logs: list[Path], both: Refitted) -> None:
-    assert refit(logs[::-1], Changes()).kernel.digest() == both.kernel.digest()
+    assert refit(logs[::-1], Changes()).belief_hash == both.belief_hash
 
 
 def moved(folder: Path, north_m: float) -> Mission:
