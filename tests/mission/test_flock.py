@@ -304,8 +304,8 @@ def test_an_agent_tells_its_safety_where_the_plan_sends_those_before_it() -> Non
     assert {each.robot for each in last.beside} == {"r1", "r2", "r3"}
     first = team.agents["r1"]
     first.lines.follows = False
-    first.step(Tick(team.now_ns("r1")))
-    assert first.beside == ()
+    first.step(Tick(team.now_ns("r1") + 2 * S))
+    assert first.beside == (), "it goes first, and what the others were sent just before has been said by now"
 
 
 def test_it_is_told_as_well_where_the_plan_has_just_sent_others() -> None:
