@@ -222,7 +222,7 @@ def _one_look(cells: int, detections: int) -> dict[str, float]:
     loaded = loaded_belief(engine, detections, rng)
     planner = InfoGainPlanner(engine)
     place = {robot: (5.0 + 1.5 * k, 10.0) for k, robot in enumerate(engine.robots)}
-    situation = Situation(0, place, engine.teams, {})
+    situation = Situation(0, place, planner.teams(engine.teams), {})
     news = iter([heard_by_team(engine, (12.0, 12.0), -4.0, rng) for _ in range(12)])
     update_s = median_s(lambda: loaded.detect(next(news)), 9)
     plan_s = median_s(lambda: planner.plan(situation, loaded), 5)

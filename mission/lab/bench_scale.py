@@ -1,8 +1,9 @@
 """`fieldkit bench scale`: how the default engine's cost grows with cells, detections, robots and sources, each alone.
 
 One update is a second of listening and one transmission, with all the thinking it gives rise to; a plan is for all
-teams; `left` is the probability that a source is left. Times are of the processor, so that other work on the machine
-counts little, and each row's are also given as ratios to the base's of the same run.
+teams, of which a live mission plans for one a tick; `left` is the probability that a source is left. Times are of the
+processor, so that other work on the machine counts little, and each row's are also given as ratios to the base's of the
+same run.
 """
 
 from collections.abc import Callable
@@ -152,6 +153,7 @@ def _measured(
     `sent` says how long after the last the next packet is sent, in seconds, and from where (2,) in m.
     """
     belief, planner = IntensityBelief(engine), InfoGainPlanner(engine)
+    teams = planner.teams(engine.teams)
     m, now_ns = len(engine.robots), 0
 
     def heard(number: int) -> Detection:
@@ -173,7 +175,7 @@ def _measured(
     for look in range(LOOKS + 1):
         news = heard(detections + look)
         place_m = dict(zip(engine.robots, map(tuple, news.position_m.tolist()), strict=True))
-        situation = Situation(news.t_ns, place_m, engine.teams, {})
+        situation = Situation(news.t_ns, place_m, teams, {})
         began_s = cpu_s()
         belief.detect(news)
         updated_s = cpu_s()
@@ -190,6 +192,7 @@ def _measured(
         "update_ms": round(update_ms, 1),
         "left_ms": round(left_ms, 1),
         "plan_ms": round(plan_ms, 1),
+        "plan_of_one_ms": round(plan_ms / len(teams), 1),
         "both_ms": round(update_ms + plan_ms, 1),
         "kept_mb": round(kept_bytes(belief.mixture) / 1e6, 2),
         "ground_cells": belief.mixture.grid.n_cells,
