@@ -16,5 +16,6 @@ def test_differences_are_those_of_missions_that_found_all_both_times() -> None:
 
 
 def test_both_planners_fly_each_number_of_sources() -> None:
-    flown = {(each.sources, each.planner) for each in SCENARIOS}
-    assert flown == {(count, planner) for count in (1, 2, 4, 8) for planner in ("infogain", "infogain1")}
+    flown = {(each.sources, each.planner, each.keep_teams) for each in SCENARIOS}
+    ways = (("infogain", False), ("infogain", True), ("infogain1", False))
+    assert flown == {(count, *way) for count in (1, 2, 4, 8) for way in ways}

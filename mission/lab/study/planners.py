@@ -1,4 +1,4 @@
-"""The default planner beside the one that was the default before, on the same missions.
+"""The default planner beside itself with pairs kept abreast, and beside the default of before, on the same missions.
 
 `fieldkit study planners --seed 300 --missions 64`. The worlds are those of the trust study. A mission's time scatters
 by 40 %, so what counts is the mean of the differences between two missions of one seed, and its standard error.
@@ -12,18 +12,24 @@ import numpy as np
 from mission.lab.study.pool import Progress, having, run_trials
 from mission.lab.study.trust import Job, Scenario, summarise, trial
 
-NOW, BEFORE = "infogain", "infogain1"
+NOW, IN_TEAMS, BEFORE = "infogain", "infogain in teams", "infogain1"
 COUNTS = (4, 8, 2, 1)
 """Sources hidden."""
 SCENARIOS = tuple(
-    Scenario(f"{count} source{'s' * (count > 1)}, {planner}", count, planner=planner)
+    Scenario(
+        f"{count} source{'s' * (count > 1)}, {way}",
+        count,
+        planner=BEFORE if way == BEFORE else NOW,
+        keep_teams=way == IN_TEAMS,
+    )
     for count in COUNTS
-    for planner in (BEFORE, NOW)
+    for way in (BEFORE, IN_TEAMS, NOW)
 )
+"""The last of each number is what the others are compared with."""
 
 
 def paired(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> dict[str, float | int | None]:
-    """By how much later missions of one seed found all sources now, of those that found all both times."""
+    """By how much later missions of one seed find all sources now, of those that found all both times."""
     both = [
         b["time_s"] - a["time_s"]
         for a, b in zip(before, now, strict=True)
@@ -37,7 +43,7 @@ def paired(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> dict[str,
 
 
 def run(trials: int, seed: int, progress: Progress, *, only: str = "", **how: Any) -> dict[str, Any]:
-    """Missions of both planners, `trials` of each row from `seed` on; `only` keeps the numbers of sources it names.
+    """Missions of each planner, `trials` of each row from `seed` on; `only` keeps the rows whose name has these words.
 
     `how` goes to `run_trials`.
     """
@@ -50,13 +56,12 @@ def run(trials: int, seed: int, progress: Progress, *, only: str = "", **how: An
     }
     scenarios = {}
     for scenario in wanted:
-        row = summarise(groups[scenario.name])
-        before = groups.get(scenario.name.replace(f", {NOW}", f", {BEFORE}"))
-        if scenario.planner == NOW and before is not None:
-            row |= paired(before, groups[scenario.name])
+        now = groups.get(f"{scenario.name.partition(', ')[0]}, {NOW}")
+        if now is None or now is groups[scenario.name]:
+            beside = dict.fromkeys(("pairs", "later_s", "standard_error_s"))
         else:
-            row |= dict.fromkeys(("pairs", "later_s", "standard_error_s"))
-        scenarios[scenario.name] = row
+            beside = paired(groups[scenario.name], now)
+        scenarios[scenario.name] = summarise(groups[scenario.name]) | beside
     return {
         "study": "planners",
         "trials": trials,

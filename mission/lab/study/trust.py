@@ -30,6 +30,7 @@ FIELD_M, CELL_M, RATE_HZ = 25.0, 0.5, 0.05
 LEVELS_DB = (-8.0, -6.0, -4.0, -2.0, 0.0)
 EXPONENT, SIGMA_DB, THRESHOLD_DBM = 2.53, 3.3, -90.0
 CAP_S = 6000.0
+ROBOTS = 6
 WRONG_S = 1500.0
 """Missions whose model is wrong may never end: they are looked at after this long."""
 
@@ -49,6 +50,9 @@ class Scenario:
     paper: bool = False
     """The paper's PRWA on its own belief instead of the default engine."""
     planner: str = given.PLANNER
+    keep_teams: bool = False
+    """Pairs drive abreast, whatever the planner."""
+    robots: int = ROBOTS
 
     @property
     def wrong(self) -> bool:
@@ -64,6 +68,7 @@ class Scenario:
 
 SCENARIOS = (
     *(Scenario(f"{count} source{'s' * (count > 1)}", count) for count in (4, 8, 2, 1)),
+    *(Scenario(f"{count} robots", robots=count) for count in (3, 12)),
     Scenario("stop at 5 % left", 4, stop_left=0.05),
     Scenario("power set off by +10 dB", power_off_db=10.0),
     Scenario("power set off by -10 dB", power_off_db=-10.0),
@@ -100,12 +105,13 @@ def antenna(exponent: float = EXPONENT) -> Antenna:
     return Antenna(exponent, float(power), SIGMA_DB, THRESHOLD_DBM)
 
 
-def settings(seed: int, *, exponent: float = EXPONENT) -> EngineSettings:
+def settings(seed: int, *, exponent: float = EXPONENT, robots: int = ROBOTS) -> EngineSettings:
     """What the engine is given."""
+    names = [f"r{k}" for k in range(robots)]
     return EngineSettings(
         Grid(FIELD_M, FIELD_M, CELL_M),
         antenna(exponent),
-        (("r0", "r1"), ("r2", "r3"), ("r4", "r5")),
+        tuple(tuple(names[k : k + 2]) for k in range(0, robots, 2)),
         LEVELS_DB,
         reference_rate_hz=RATE_HZ,
         min_separation_m=ROBOTS_APART_M,
@@ -124,12 +130,15 @@ def trial(job: Job) -> dict[str, Any]:
     truth = Truth(
         antenna(),
         louder,
-        tuple((2.0 + 2.0 * k, 1.0) for k in range(6)),
+        tuple((2.0 + 2.0 * k, 1.0) for k in range(scenario.robots)),
         packet_loss=scenario.packet_loss,
         clock_sigma_s=scenario.clock_sigma_s,
         pose_bias_m=scenario.pose_bias_m,
     )
-    engine = settings(job.seed, exponent=EXPONENT + scenario.exponent_off)
+    engine = replace(
+        settings(job.seed, exponent=EXPONENT + scenario.exponent_off, robots=scenario.robots),
+        keep_teams=scenario.keep_teams,
+    )
     kernel = KernelSettings(
         engine, planner=scenario.planner, max_duration_s=15_000.0 if scenario.paper else CAP_S
     )
