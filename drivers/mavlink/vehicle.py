@@ -13,6 +13,7 @@ from drivers.mavlink.transport import Peer
 from drivers.timebase import TimeBase
 from fieldkit.geo import FieldFrame
 from fieldkit.messages import Pose, VehicleMode, VehicleState
+from fieldkit.settings import DRIFTS_M_S, STANDS_M_S
 
 WARN_S = 2.0
 LOST_S = 5.0
@@ -369,11 +370,19 @@ class Vehicle:
     def _mode_words(self) -> str:
         return self.actual_mode if self.actual_mode != "other" else f"mode {self.custom_mode}"
 
+    @property
+    def _rolls(self) -> bool:
+        """Whether it is in its hold mode and moves: that it has come to stand is said at once."""
+        most_m_s = DRIFTS_M_S if self.flies else STANDS_M_S
+        return self.actual_mode == "hold" and (self.speed_m_s or 0.0) > most_m_s
+
     def _report(self, now_s: float, now_ns: int) -> list[Happening]:
         """The state, if it changed or is due."""
         if self.peer is None:
             return []
-        now = (self.mode, self.armed, self.link_up, self.on_ground, self._why, self.lost_because)
+        now = (
+            self.mode, self.armed, self.link_up, self.on_ground, self._why, self.lost_because, self._rolls
+        )  # fmt: skip
         if now == self._reported and now_s - self._reported_s < STATE_EVERY_S:
             return []
         self._reported, self._reported_s = now, now_s

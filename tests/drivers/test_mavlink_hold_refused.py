@@ -1,12 +1,15 @@
 """A vehicle that refuses to hold, or says that it holds and rolls on: what its link says is what it shows."""
 
 import pytest
-from benches import until
+from benches import FRAME, until
 from fleet_bench import here, team
+from test_mavlink_parts import PEER, heartbeat, position
 
 from drivers.emulators.profiles import PX4
 from drivers.emulators.rover import GUIDED, HOLD
+from drivers.mavlink.vehicle import STATE_EVERY_S, Vehicle
 from fieldkit.errors import DeviceTimeout
+from fieldkit.messages import VehicleState
 from fieldkit.settings import STANDS_M_S
 from mission.core.holding import holds, rolls
 
@@ -49,3 +52,23 @@ async def test_one_that_rolls_on_in_its_hold_mode_is_known_by_its_speed():
         assert rolls(t.states()[-1]) and not holds(t.states()[-1])
         t.rovers[0].autopilot.trouble.rolls_on = False
         await until(lambda: holds(t.states()[-1]))
+
+
+@pytest.mark.parametrize(("mode", "is_news"), [(HOLD, True), (GUIDED, False)])
+def test_that_it_has_come_to_stand_in_its_hold_mode_is_said_at_once(mode, is_news):
+    vehicle = Vehicle("ada", 1, FRAME)
+
+    def heard(message, at_s):
+        happened = vehicle.heard(message, PEER, at_s, round(at_s * 1e9))
+        return [item.speed_m_s for item in happened if isinstance(item, VehicleState)]
+
+    def at(boot_ms, speed_m_s):
+        message = position(boot_ms)
+        message.vx = round(100 * speed_m_s)
+        return message
+
+    assert len(heard(heartbeat(mode), 0.0)) == 1
+    heard(at(100, 0.6), 0.1)
+    assert heard(at(150, 0.5), 0.15) == []
+    assert STATE_EVERY_S > 0.2 and heard(at(200, STANDS_M_S), 0.2) == ([STANDS_M_S] if is_news else [])
+    assert heard(at(250, 0.0), 0.25) == []
