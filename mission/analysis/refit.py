@@ -165,7 +165,7 @@ def _parts(logs: Sequence[Path], changes: Changes) -> tuple[tuple[Part, ...], Fi
 def _folder(work: Work) -> Iterator[Path]:
     """Where the pieces are kept."""
     if work.folder is not None:
-        yield work.folder
+        yield work.folder.absolute()  # a worker may stand in another folder
         return
     if work.dask:
         raise ConfigError(

@@ -150,7 +150,7 @@ def job_of(together: Sequence[Part], kernel: KernelSettings, folder: Path) -> Pr
     said = [SCHEMA, [part.identity for part in together], sorted(flying), how, sorted(made_with.items())]
     key = hashlib.sha256(json.dumps(said).encode()).hexdigest()[:20]
     return Preparing(
-        tuple(part.recording for part in together),
+        tuple(_anywhere(part.recording) for part in together),
         tuple(tuple(part.names) for part in together),
         tuple(part.to_common for part in together),
         tuple(part.up_m for part in together),
@@ -158,6 +158,11 @@ def job_of(together: Sequence[Part], kernel: KernelSettings, folder: Path) -> Pr
         *how,
         str(folder / f"session-{key}.npz"),
     )
+
+
+def _anywhere(recording: Recording) -> Recording:
+    """The same for a worker that stands in another folder."""
+    return replace(recording, parts=[path.absolute() for path in recording.parts])
 
 
 def prepare(job: Preparing) -> Prepared:

@@ -18,6 +18,7 @@ from fieldkit.world.sources import TransientSource
 from mission.analysis import refit as campaign
 from mission.analysis.refit import Refitted, Work, refit
 from mission.analysis.refit_beliefs import Believed, Believing, believe
+from mission.analysis.refit_sessions import job_of, prepare
 from mission.core.mission_file import read_mission
 from mission.lab.bench_refit import DAY_NS, later
 from mission.lab.synthetic import small_mission
@@ -146,6 +147,17 @@ def test_a_recording_that_goes_missing_half_way_is_named_and_the_others_are_in(
     shutil.copy2(logs[1], gone)
     back = refit([logs[0], gone], Changes(), work=Work(tmp_path / "work", workers=1))
     assert back.done_now == (1, 1) and back.sessions == 2
+
+
+def test_a_worker_that_stands_in_another_folder_finds_the_recordings(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(logs[0].parent)
+    (part,), *_ = campaign._parts([Path(logs[0].name)], Changes())
+    job = job_of([part], part.mission.kernel, tmp_path / "work")
+    monkeypatch.chdir(tmp_path)
+    prepared = prepare(job)
+    assert prepared.refused == () and prepared.detections > 5
 
 
 def test_recordings_in_which_nothing_is_heard_are_refused(tmp_path: Path) -> None:
