@@ -7,10 +7,10 @@ some are out of contact it follows the one of those that are not.
 An agent logs only what its own robot observes, and of every robot's commands it gives on its own robot's alone.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Logs, Observation
+from fieldkit.engine.decentralised.logs import NEVER, TICK_NS, Key, Logs, Observation, Stream
 from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.engine.decentralised.talk import Talk, code_of
 from fieldkit.engine.decentralised.ways import Way
@@ -177,26 +177,46 @@ class Agent:
 
         It knows then what it had obeyed before: an old order that another brings lifts no hold, and holds nobody anew.
         """
+        return self._in_order([])
+
+    def remember_anew(self) -> list[Operator]:
+        """The same, where its log has come after some orders were obeyed: all of them, in their order.
+
+        What has come meanwhile stands in no log yet, and is later than all that its own log has, whatever another's
+        clock says: an old resume in there lifts no hold of now.
+        """
+        came = [*self._obeyed, *self._early_orders]
+        self._obeyed.clear()
+        return self._in_order(came)
+
+    def _in_order(self, came: Iterable[Operator]) -> list[Operator]:
+        """Orders in the logs, and those of `came` that are in none, in their order; without what is void."""
         ordered = [
             (entry.order_ns, key, number, entry.event)
             for key, log in self.logs.entries.items()
             for number, entry in enumerate(log)
             if isinstance(entry.event, Operator)
         ]
+        packed = {each for order in came if isinstance(each := quantised(order), Operator)}
+        unlogged = packed - {order for *_, order in ordered}
+        ended_ns = self.logs.closed_of(self.me) * TICK_NS
+        last: Key = ("", Stream.ORDERS)
+        ordered += [
+            (max(order.t_ns, ended_ns), last, number, order)
+            for number, order in enumerate(sorted(unlogged, key=lambda order: order.t_ns))
+        ]
         remembered = []
-        for _, (author, _), _, order in sorted(ordered, key=lambda each: each[:3]):
+        for _, key, _, order in sorted(ordered, key=lambda each: each[:3]):
             was_known = order in self._obeyed
             stands = self._is_new(order)
             # Its own log has what was obeyed; what is meant for others is theirs to weigh.
-            is_obeyed = author == self.me and not was_known
+            is_obeyed = key[0] == self.me and not was_known
+            if key == last and order.action == "hold" and order.robot in (None, self.me):  # in doubt it holds
+                stands = True
+                self._obeys(order)
             if stands or is_obeyed or order.robot not in (None, self.me):
                 remembered.append(order)
         return remembered
-
-    def remember_anew(self) -> list[Operator]:
-        """The same, where its log has come after some orders were obeyed: all of them, in their order."""
-        self._obeyed.clear()
-        return self.remembered()
 
     def step(self, event: Event) -> Outcome:
         """Take in what its own robot or its operator says, or let time pass; what follows for its own robot."""
