@@ -12,8 +12,7 @@ from fieldkit.errors import DataError
 from fieldkit.files import write_whole
 from fieldkit.messages import Detection, Listening, SourceEstimate
 from fieldkit.recording import codec
-from fieldkit.recording.made_with import software
-from mission.analysis.refit_sessions import Session
+from mission.analysis.refit_sessions import Session, computed_by
 from mission.analysis.refit_tiles import Tile, engine_of
 from mission.core.kernel_settings import KernelSettings
 
@@ -118,7 +117,7 @@ def job_of(
     """The job of a tile: sessions as paths of what was prepared, each with its robots' names in the campaign."""
     paths, names = tuple(path for path, _ in sessions), tuple(its for _, its in sessions)
     of = [[Path(path).name, *its] for path, its in sessions]
-    said = [SCHEMA, AT_ONCE, of, repr(settings), repr(tile), sorted(software().items())]
+    said = [SCHEMA, AT_ONCE, of, repr(settings), repr(tile), computed_by()]
     key = hashlib.sha256(json.dumps(said).encode()).hexdigest()[:20]
     return Believing(
         settings, tile, len(tiles) == 1, paths, names, str(folder / f"tile-{tile.number}-{key}.json")

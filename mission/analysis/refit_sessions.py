@@ -138,6 +138,11 @@ class Prepared:
     """Of the last that was heard; 0 where nothing was."""
 
 
+def computed_by() -> list[tuple[str, str]]:
+    """What the numbers of a piece may depend on: its code, not the commit, which may change words alone."""
+    return sorted((name, said) for name, said in software().items() if name != "commit")
+
+
 def job_of(together: Sequence[Part], kernel: KernelSettings, folder: Path) -> Preparing:
     """The job that prepares a session, in a file whose name says of what and how."""
     flying = frozenset(
@@ -146,8 +151,7 @@ def job_of(together: Sequence[Part], kernel: KernelSettings, folder: Path) -> Pr
         for robot in part.mission.kernel.altitude_m
     )
     how = (kernel.association_window_s, kernel.association_lateness_s, kernel.max_pose_gap_s)
-    made_with = software()
-    said = [SCHEMA, [part.identity for part in together], sorted(flying), how, sorted(made_with.items())]
+    said = [SCHEMA, [part.identity for part in together], sorted(flying), how, computed_by()]
     key = hashlib.sha256(json.dumps(said).encode()).hexdigest()[:20]
     return Preparing(
         tuple(_anywhere(part.recording) for part in together),

@@ -34,7 +34,7 @@ NORTH_M = 25.0
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """A mission in each of two fields, a day apart."""
     folder = tmp_path_factory.mktemp("fields")
-    south = small_mission(folder / "south", duration_s=180.0)
+    south = small_mission(folder / "south", duration_s=300.0)
     lat_deg, lon_deg, _ = south.frame.to_geodetic(0.0, NORTH_M)
     text = south.text.replace(
         f"origin_lat_deg = {south.frame.origin_lat_deg:.6f}", f"origin_lat_deg = {lat_deg:.9f}"
