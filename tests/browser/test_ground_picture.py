@@ -51,7 +51,7 @@ def quarters(folder: Path) -> None:
 @pytest.fixture
 def mission(tmp_path: Path) -> Mission:
     quarters(tmp_path)
-    small_mission(tmp_path, duration_s=20.0)
+    small_mission(tmp_path, duration_s=20.0, engine={"keep_teams": True})
     path = tmp_path / "mission.toml"
     text = path.read_text()
     more = 'background = "ground.png"\nbackground_crs = "local"\n'
