@@ -44,15 +44,18 @@ def revise(mixture: "Mixture") -> bool | None:
 
 
 def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
-    count, inconsistent = candidate.receptions, candidate.state == "inconsistent"
+    count, inconsistent, keeper = candidate.receptions, candidate.state == "inconsistent", 0
     whole = _re_estimated_from(mixture, candidate)
     responsibility = _discounted(mixture, whole)
     blank = _fresh(mixture, candidate, responsibility, most=mixture.tuning.compared_points)
     single = blank.copy()
     single.set_responsibilities(list(responsibility), list(responsibility.values()))
     pairs = [] if candidate.name else _two(mixture, blank, responsibility)
+    alone = [single]
+    _keep_frozen(alone, candidate)
+    keepers = [_keep_frozen(pair, candidate) for pair in pairs]
     scores = [_score(pair, responsibility) for pair in pairs]
-    odds_nats = max(scores, default=-np.inf) - _score([single], responsibility)
+    odds_nats = max(scores, default=-np.inf) - _score(alone, responsibility)
     undecided = odds_nats > mixture.tuning.undecided_nats
     candidate.two_source = None
     if pairs:
@@ -61,12 +64,15 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     mixture.revise_at[candidate.ident] = _next_look(mixture, count, odds_nats, inconsistent)
     if odds_nats > mixture.tuning.better_nats:
         best = pairs[int(np.argmax(scores))]
+        keeper = keepers[int(np.argmax(scores))]
         parts = [
             _re_estimated(mixture, candidate, _undone(part.responsibility, responsibility, whole))
             for part in best
         ]
+        if candidate.frozen_receptions > 0.0:
+            parts[keeper].take_in_frozen(candidate)
     else:
-        moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.field.cell_m
+        moved = np.abs(_mean(alone[0]) - mixture.summary(candidate).mean_m).max() > mixture.field.cell_m
         if not (moved or inconsistent):
             return False
         parts = [_re_estimated(mixture, candidate, whole)]
@@ -78,10 +84,8 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
     parts[0].ident = candidate.ident
     parts[0].state = candidate.state
     parts[0].name = candidate.name
-    attributed = math.fsum(part.receptions for part in parts)
-    for part in parts:
-        # What is frozen, and what was left out, still counts for its rate; its place is known from the rest.
-        part.frozen_receptions = candidate.frozen_receptions * part.receptions / attributed
+    for index, part in enumerate(parts):
+        part.frozen_receptions = candidate.frozen_receptions if index == keeper else 0.0
         part.log_absent = candidate.log_absent
         if len(parts) == 1:
             part.first_ns, part.last_ns = candidate.first_ns, candidate.last_ns
@@ -91,6 +95,24 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
         know_all(mixture, revised)
         note_heard(mixture, revised)
     return True
+
+
+def _keep_frozen(hypothesis: list[Candidate], candidate: Candidate) -> int:
+    """Have the part that explains them best take in a candidate's marginalised detections; which one that is.
+
+    They are known by one posterior only. A hypothesis that leaves them out is free to put its sources anywhere.
+    """
+    if candidate.frozen_receptions <= 0.0:
+        return 0
+    taken = [part.copy() for part in hypothesis]
+    for part in taken:
+        part.take_in_frozen(candidate)
+    gains = [
+        after.log_evidence() - part.log_evidence() for after, part in zip(taken, hypothesis, strict=True)
+    ]
+    keeper = int(np.argmax(gains))
+    hypothesis[keeper] = taken[keeper]
+    return keeper
 
 
 def _undone(
