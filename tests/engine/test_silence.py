@@ -9,7 +9,7 @@ import pytest
 from fieldkit.engine.belief.intensity import silence
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.belief.intensity.candidate import merged_gain
-from fieldkit.engine.belief.intensity.merging import merge
+from fieldkit.engine.belief.intensity.merging import _may_be_one, merge
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.planning.base import Situation
 from fieldkit.engine.planning.infogain import InfoGainPlanner
@@ -208,3 +208,12 @@ def test_where_sources_go_others_are_expected_to_go_sooner(monkeypatch: pytest.M
     assert stayed_s == pytest.approx(1.0 / rate_hz[stayed].mean(), rel=0.05)
     assert with_one < stayed_s < with_none
     assert none_gone.sum() < stayed.sum()
+
+
+def test_two_that_have_come_close_are_looked_at_though_not_much_was_heard_since() -> None:
+    mixture = SimpleNamespace(places=object(), merge_at={})
+    one, other = SimpleNamespace(ident=1, receptions=40.0), SimpleNamespace(ident=2, receptions=40.0)
+    assert _may_be_one(mixture, one, other, False) and not _may_be_one(mixture, one, other, False)
+    assert _may_be_one(mixture, one, other, True) and not _may_be_one(mixture, one, other, True)
+    one.receptions = 49.0
+    assert _may_be_one(mixture, one, other, False)

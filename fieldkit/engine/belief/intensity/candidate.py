@@ -20,7 +20,9 @@ from fieldkit.messages import FloatArray
 from fieldkit.tuning import IntensityTuning
 
 NEGLIGIBLE_FROZEN = 3.0
-"""By so many nats a point that was dropped is less probable than the least of those that were kept."""
+"""By so many nats a point that was dropped is less probable than the least of those that were kept, or by more."""
+MOST_FROZEN = 10.0
+"""Nats that one reception can cost: it may have been an outlier."""
 SHARED_LEAST = 0.2
 """An error of positions that is less than this part of what is asked is left out."""
 ACTIVE_NATS = 40.0
@@ -215,15 +217,31 @@ class Candidate:
     def _add_frozen(self, other: "Candidate", theirs: FloatArray) -> None:
         """Its marginalised evidence `theirs`, at its points nearest to one's own.
 
-        Points that the other has dropped are as good as impossible to it.
+        Beyond the points that the other has kept it falls on as a normal density that is as wide as they are, by so
+        much for each marginalised reception at the most: hundreds of them were not sent from another source's place.
         """
         away2 = (self.points_m[:, None, 0] - other.points_m[None, :, 0]) ** 2
         away2 += (self.points_m[:, None, 1] - other.points_m[None, :, 1]) ** 2
         nearest = away2.argmin(axis=1)
-        far = away2.min(axis=1) > max(self.spacing_m, other.spacing_m) ** 2
-        self.evidence += np.where(
-            far[None], theirs.min(axis=1)[:, None] - NEGLIGIBLE_FROZEN, theirs[:, nearest]
+        off2 = away2.min(axis=1)
+        far = off2 > max(self.spacing_m, other.spacing_m) ** 2
+        weight = np.exp(theirs - theirs.max()).sum(axis=0)
+        weight /= weight.sum()
+        spread2 = weight @ ((other.points_m - weight @ other.points_m) ** 2).sum(axis=1) / 2.0
+        fall = 0.5 * off2 / (spread2 + other.spacing_m**2 / 12.0)
+        least = theirs.min(axis=1)[:, None] - NEGLIGIBLE_FROZEN
+        beyond = np.minimum(
+            least, theirs[:, nearest] - np.minimum(fall, MOST_FROZEN * other.frozen_receptions)
         )
+        self.evidence += np.where(far[None], beyond, theirs[:, nearest])
+
+    def with_frozen_alone(self) -> "Candidate":
+        """Another that knows and claims nothing but what is marginalised."""
+        other = copy.copy(self)
+        other.evidence = self.frozen()
+        other.logs, other.responsibility, other.based_on, other.listened_at = {}, {}, {}, {}
+        other._receptions = None
+        return other
 
     def prune(self) -> None:
         """Drop points that are impossible under every power."""

@@ -44,18 +44,16 @@ def revise(mixture: "Mixture") -> bool | None:
 
 
 def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
-    count, inconsistent, keeper = candidate.receptions, candidate.state == "inconsistent", 0
+    count, inconsistent = candidate.receptions, candidate.state == "inconsistent"
     whole = _re_estimated_from(mixture, candidate)
     responsibility = _discounted(mixture, whole)
     blank = _fresh(mixture, candidate, responsibility, most=mixture.tuning.compared_points)
-    single = blank.copy()
+    kept = _with_frozen(mixture, candidate, responsibility) if candidate.frozen_receptions > 0.0 else None
+    single = (kept or blank).copy()
     single.set_responsibilities(list(responsibility), list(responsibility.values()))
-    pairs = [] if candidate.name else _two(mixture, blank, responsibility)
-    alone = [single]
-    _keep_frozen(alone, candidate)
-    keepers = [_keep_frozen(pair, candidate) for pair in pairs]
+    pairs = [] if candidate.name else _two(mixture, blank, kept, responsibility)
     scores = [_score(pair, responsibility) for pair in pairs]
-    odds_nats = max(scores, default=-np.inf) - _score(alone, responsibility)
+    odds_nats = max(scores, default=-np.inf) - _score([single], responsibility)
     undecided = odds_nats > mixture.tuning.undecided_nats
     candidate.two_source = None
     if pairs:
@@ -63,56 +61,63 @@ def _revise(mixture: "Mixture", candidate: Candidate) -> bool:
         candidate.two_source = TwoSource(float(1.0 / (1.0 + np.exp(-odds_nats))), places, undecided)
     mixture.revise_at[candidate.ident] = _next_look(mixture, count, odds_nats, inconsistent)
     if odds_nats > mixture.tuning.better_nats:
-        best = pairs[int(np.argmax(scores))]
-        keeper = keepers[int(np.argmax(scores))]
-        parts = [
-            _re_estimated(mixture, candidate, _undone(part.responsibility, responsibility, whole))
-            for part in best
+        shares = [
+            _undone(part.responsibility, responsibility, whole) for part in pairs[int(np.argmax(scores))]
         ]
-        if candidate.frozen_receptions > 0.0:
-            parts[keeper].take_in_frozen(candidate)
+        parts = [_re_estimated(mixture, candidate, share) for share in shares[1 if kept else 0 :]]
+        if kept:
+            parts.insert(0, _claiming(candidate, shares[0]))
+    elif kept:
+        return False  # what is marginalised leaves no other place to it
     else:
-        moved = np.abs(_mean(alone[0]) - mixture.summary(candidate).mean_m).max() > mixture.field.cell_m
+        moved = np.abs(_mean(single) - mixture.summary(candidate).mean_m).max() > mixture.field.cell_m
         if not (moved or inconsistent):
             return False
         parts = [_re_estimated(mixture, candidate, whole)]
-        if candidate.frozen_receptions > 0.0:
-            parts[0].take_in_frozen(candidate)
         if _score(parts, whole) < _score([candidate], whole) + mixture.tuning.better_nats:
             return False
+    _replace(mixture, candidate, parts)
+    return True
+
+
+def _replace(mixture: "Mixture", candidate: Candidate, parts: list[Candidate]) -> None:
+    """Put the parts of the better hypothesis in the candidate's place; the first one goes by its name."""
     mixture.remove(candidate)
     parts[0].ident = candidate.ident
     parts[0].state = candidate.state
     parts[0].name = candidate.name
-    for index, part in enumerate(parts):
-        part.frozen_receptions = candidate.frozen_receptions if index == keeper else 0.0
-        part.log_absent = candidate.log_absent
-        if len(parts) == 1:
-            part.first_ns, part.last_ns = candidate.first_ns, candidate.last_ns
-            part.exposure_then_s, part.listened_at = candidate.exposure_then_s, dict(candidate.listened_at)
+    if len(parts) == 1:
+        parts[0].first_ns, parts[0].last_ns = candidate.first_ns, candidate.last_ns
+        parts[0].exposure_then_s, parts[0].listened_at = (
+            candidate.exposure_then_s,
+            dict(candidate.listened_at),
+        )
     mixture.candidates += parts
     for revised in parts:
         know_all(mixture, revised)
         note_heard(mixture, revised)
-    return True
 
 
-def _keep_frozen(hypothesis: list[Candidate], candidate: Candidate) -> int:
-    """Have the part that explains them best take in a candidate's marginalised detections; which one that is.
+def _with_frozen(mixture: "Mixture", candidate: Candidate, responsibility: dict[int, float]) -> Candidate:
+    """The candidate with nothing but its marginalised detections, which knows the others as `_fresh` does.
 
-    They are known by one posterior only. A hypothesis that leaves them out is free to put its sources anywhere.
+    It stays on its own points. What is marginalised is known there alone, and is so sharp that it would rule out
+    every point of a coarser cloud.
     """
-    if candidate.frozen_receptions <= 0.0:
-        return 0
-    taken = [part.copy() for part in hypothesis]
-    for part in taken:
-        part.take_in_frozen(candidate)
-    gains = [
-        after.log_evidence() - part.log_evidence() for after, part in zip(taken, hypothesis, strict=True)
-    ]
-    keeper = int(np.argmax(gains))
-    hypothesis[keeper] = taken[keeper]
-    return keeper
+    kept = candidate.with_frozen_alone()
+    for number in responsibility:
+        kept.know(number, mixture.model.log_likelihood(mixture.open[number].detection, kept.points_m))
+    return kept
+
+
+def _claiming(candidate: Candidate, share: dict[int, float]) -> Candidate:
+    """The candidate with this share of its open detections."""
+    part = candidate.copy()
+    part.two_source = None
+    part.set_responsibilities(
+        list(part.responsibility), [share.get(number, 0.0) for number in part.responsibility]
+    )
+    return part
 
 
 def _undone(
@@ -196,23 +201,31 @@ def _re_estimated(mixture: "Mixture", candidate: Candidate, responsibility: dict
     return fresh
 
 
-def _two(mixture: "Mixture", blank: Candidate, responsibility: dict[int, float]) -> list[list[Candidate]]:
-    """Two sources, from first guesses that divide the detections across the line they spread on most."""
+def _two(
+    mixture: "Mixture", blank: Candidate, kept: Candidate | None, responsibility: dict[int, float]
+) -> list[list[Candidate]]:
+    """Two sources, from first guesses that divide the detections across the line they spread on most.
+
+    Where something is marginalised the first of the two is who sent it: `kept`, which takes either side of the line.
+    """
     alone = []
     for row in blank.logs.values():
         weight = np.exp(mixture.model.marginal(row.array))
         alone.append((weight / weight.sum()) @ blank.points_m)
     spread = np.array(alone) - np.mean(alone, axis=0)
     axis = np.linalg.svd(spread, full_matrices=False)[2][0]
-    hypotheses = []
+    leans = []
     for turn_rad in (0.0, np.pi / 3, -np.pi / 3):
         cos, sin = np.cos(turn_rad), np.sin(turn_rad)
         along = spread @ np.array([cos * axis[0] - sin * axis[1], sin * axis[0] + cos * axis[1]])
         order = np.argsort(np.argsort(along, kind="stable"), kind="stable")
-        hypotheses.append(_divide(mixture, blank, responsibility, order * 2 < len(responsibility)))
-    hypotheses.append(
-        _divide(mixture, blank, responsibility, _best_two_places(mixture, blank, responsibility))
-    )
+        leans.append(order * 2 < len(responsibility))
+    leans.append(_best_two_places(mixture, blank, responsibility))
+    if kept:
+        leans += [~lean for lean in leans]
+    hypotheses = [
+        _divide(mixture, [(kept or blank).copy(), blank.copy()], responsibility, lean) for lean in leans
+    ]
     return [pair for pair in hypotheses if min(part.receptions for part in pair) >= 1.0]
 
 
@@ -235,10 +248,9 @@ def _best_two_places(
 
 
 def _divide(
-    mixture: "Mixture", blank: Candidate, responsibility: dict[int, float], lean: NDArray[np.bool_]
+    mixture: "Mixture", pair: list[Candidate], responsibility: dict[int, float], lean: NDArray[np.bool_]
 ) -> list[Candidate]:
     """Two candidates that settle between them who sent what, from a first guess."""
-    pair = [blank.copy(), blank.copy()]
     numbers, whole = list(responsibility), np.array(list(responsibility.values()))
     first = np.where(lean, 0.9, 0.1) * whole
     pair[0].set_responsibilities(numbers, first.tolist())

@@ -25,9 +25,10 @@ def merge(mixture: "Mixture") -> list[Candidate]:
             for second in mixture.candidates:
                 if first.ident >= second.ident or first.name or second.name:
                     continue
-                if not (_close(mixture, first, second) or _one_in_shadow(mixture, first, second)):
+                close = _close(mixture, first, second)
+                if not (close or _one_in_shadow(mixture, first, second)):
                     continue
-                if not _may_be_one(mixture, first, second):
+                if not _may_be_one(mixture, first, second, close):
                     continue
                 keep, drop = (first, second) if first.receptions >= second.receptions else (second, first)
                 settled = partial(settle, mixture) if mixture.places is not None else None
@@ -75,12 +76,12 @@ def _one_in_shadow(mixture: "Mixture", first: Candidate, second: Candidate) -> b
     )
 
 
-def _may_be_one(mixture: "Mixture", first: Candidate, second: Candidate) -> bool:
+def _may_be_one(mixture: "Mixture", first: Candidate, second: Candidate, close: bool) -> bool:
     """Whether anything was heard of two neighbours since they were last found to be two; with place noise, enough.
 
-    Conditioning all they claim on each other takes time.
+    Conditioning all they claim on each other takes time. Two that have come close since are looked at all the same.
     """
-    pair, heard = (first.ident, second.ident), first.receptions + second.receptions
+    pair, heard = (first.ident, second.ident, close), first.receptions + second.receptions
     if mixture.places is not None:
         if heard < mixture.merge_at.get(pair, 0.0):
             return False

@@ -93,8 +93,8 @@ class Mixture:
         """Candidates born at this detection."""
         self.stillborn: list[births.Born] = []
         """The same of those that did not last."""
-        self.merge_at: dict[tuple[int, int], float] = {}
-        """Neighbours to the receptions of both at which it is next asked whether they are one."""
+        self.merge_at: dict[tuple[int, int, bool], float] = {}
+        """Two candidates, close or not, to the receptions of both at which it is next asked whether they are one."""
         self.arena = Arena()
         """What candidates know of detections."""
         self.open_arena = Arena()
