@@ -414,3 +414,18 @@ def test_one_that_others_steer_is_not_stopped_beside_ours() -> None:
     theirs.vehicle = VehicleState(0, "a", "other", True)
     theirs.velocity_m_s = (0.5, 0.0)
     assert too_near(theirs, robot("b", (0.9, 0.0), (-5.0, 0.0))) == {"b"}
+
+
+@pytest.mark.parametrize(("seen_s_ago", "stopped"), [(0.0, False), (1.0, True)])
+@pytest.mark.parametrize("seen_late", ["a", "b"])
+def test_one_that_was_seen_a_while_ago_has_got_on_since(
+    seen_s_ago: float, stopped: bool, seen_late: str
+) -> None:
+    """Two cross: where both were last seen they pass 1.15 m apart; one of them is half a metre further on by now."""
+    late, other = robot("a", (0.0, 2.63), (0.0, -2.0)), robot("b", (-1.0, 0.0), (2.0, 0.0))
+    for each in (late, other):
+        each.velocity_m_s = (0.5, 0.0) if each is other else (0.0, -0.5)
+        assert each.pose is not None
+        each.pose = replace(each.pose, t_ns=round((10.0 - (seen_s_ago if each is late else 0.0)) * S))
+    late.name, other.name = ("a", "b") if seen_late == "a" else ("b", "a")
+    assert bool(too_near(*sorted((late, other), key=lambda each: each.name))) == stopped
