@@ -38,6 +38,12 @@ from mission.replay.command import Changes, changed_mission
 Progress = Callable[[float, str], None]
 """Share done, and words."""
 
+UNDATED_NS = 946_684_800_000_000_000
+"""The beginning of 2000: what was recorded before that has no date. A simulated mission begins at nought, and so does a
+computer whose clock was never set. Two of them did not listen at the same time: one comes after the other."""
+BETWEEN_NS = 3_600_000_000_000
+"""So long after another recording one without a date is put."""
+
 
 @dataclass(frozen=True, slots=True)
 class Work:
@@ -149,15 +155,20 @@ def _parts(logs: Sequence[Path], changes: Changes) -> tuple[tuple[Part, ...], Fi
             refused.append(str(error))
     if not opened:
         raise DataError("no recording could be taken in: " + "; ".join(refused))
-    opened.sort(key=lambda each: each[2])
+    opened.sort(key=lambda each: (each[2], each[0].path.name))
     missions = [each[1] for each in opened]
     check_one_calibration(missions)
     frame, ground = common_ground(missions)
-    parts = []
+    parts, free_ns = [], 0
     for number, (recording, mission, began_ns, ended_ns) in enumerate(opened, start=1):
         robots = mission.kernel.engine.robots
         names = {robot: robot if len(opened) == 1 else f"{number}.{robot}" for robot in robots}
-        parts.append(Part(recording, mission, names, *between(mission.frame, frame), began_ns, ended_ns))
+        later_ns = max(0, free_ns - began_ns) if began_ns < UNDATED_NS else 0
+        began_ns, ended_ns = began_ns + later_ns, ended_ns + later_ns
+        parts.append(
+            Part(recording, mission, names, *between(mission.frame, frame), began_ns, ended_ns, later_ns)
+        )
+        free_ns = ended_ns + BETWEEN_NS
     return tuple(parts), frame, ground, refused
 
 

@@ -51,6 +51,9 @@ class Part:
     """Added to heights."""
     began_ns: int
     ended_ns: int
+    """Both in the campaign's time."""
+    later_ns: int = 0
+    """Added to the recording's times: they begin at nought where its clock was simulated, or never set."""
 
     @property
     def identity(self) -> list[object]:
@@ -62,7 +65,7 @@ class Part:
                 files.append([str(path.resolve()), stat.st_size, stat.st_mtime_ns])
             except OSError:  # it has gone meanwhile; whoever reads it says so
                 files.append([str(path), 0, 0])
-        return [files, list(self.names), self.to_common.tolist(), self.up_m]
+        return [files, list(self.names), self.to_common.tolist(), self.up_m, self.later_ns]
 
 
 def sessions_of(parts: Sequence[Part]) -> list[list[Part]]:
@@ -87,6 +90,7 @@ class Preparing:
     """Of each recording, as they are called in it."""
     to_common: tuple[FloatArray, ...]
     up_m: tuple[float, ...]
+    later_ns: tuple[int, ...]
     flying: frozenset[str]
     """By their names in the session."""
     window_s: float
@@ -111,12 +115,12 @@ class Preparing:
         return sorted(events, key=lambda event: event.t_ns), refused
 
     def _moved(self, event: Heard, number: int) -> Event:
-        name = own_name(number, event.robot)
+        name, t_ns = own_name(number, event.robot), event.t_ns + self.later_ns[number]
         if not isinstance(event, Pose):
-            return replace(event, robot=name)
+            return replace(event, robot=name, t_ns=t_ns)
         east_m, north_m = self.to_common[number] @ (event.east_m, event.north_m, 1.0)
         up_m = event.up_m + self.up_m[number]
-        return replace(event, robot=name, east_m=float(east_m), north_m=float(north_m), up_m=up_m)
+        return replace(event, robot=name, t_ns=t_ns, east_m=float(east_m), north_m=float(north_m), up_m=up_m)
 
 
 def own_name(number: int, robot: str) -> str:
@@ -158,6 +162,7 @@ def job_of(together: Sequence[Part], kernel: KernelSettings, folder: Path) -> Pr
         tuple(tuple(part.names) for part in together),
         tuple(part.to_common for part in together),
         tuple(part.up_m for part in together),
+        tuple(part.later_ns for part in together),
         flying,
         *how,
         str(folder / f"session-{key}.npz"),

@@ -69,6 +69,16 @@ def test_together_they_know_where_the_sources_are(both: Refitted) -> None:
     assert len(places) == len(HIDDEN)
 
 
+def test_simulated_missions_are_not_heard_at_the_same_time(logs: list[Path], both: Refitted) -> None:
+    """All begin at nought: as one session, robots of either would have heard nothing of what the other's heard."""
+    undated = refit([logs[0], logs[1].parent / "2.mcap"], Changes())
+    assert undated.sessions == 2 and undated.detections == both.detections
+    mine, dated = (
+        sorted((s.east_m, s.north_m) for s in its.sources() if s.state == "found") for its in (undated, both)
+    )
+    assert np.array(mine) == pytest.approx(np.array(dated), abs=0.05)
+
+
 def test_the_order_in_which_they_are_named_changes_nothing(logs: list[Path], both: Refitted) -> None:
     assert refit(logs[::-1], Changes()).belief_hash == both.belief_hash
 
