@@ -5,14 +5,17 @@ mission file and the version too (`sealing.session_key`): they could not even re
 """
 
 import json
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 
+from fieldkit.engine.decentralised.packing import LARGEST
 from fieldkit.engine.decentralised.sealing import MAC_BYTES, STALE_S, session_key, signed, unsigned
 
 MARK = b"\x00card"
 """No other message begins so: kinds of those are not 0."""
 LONGEST_WORD = 40
 """Of what strangers call themselves."""
+LONGEST_CARD = 4_096
+"""Bytes; no card of ours comes near. Anybody may send anything to where cards are heard."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +53,18 @@ def read_card(key: bytes, data: bytes) -> Card | None:
 
 
 def _parsed(said: bytes) -> Card | None:
-    try:
-        values = dict(
-            zip((each.name for each in fields(Card)), json.loads(said.removeprefix(MARK)), strict=True)
-        )
-        card = Card(**values)
-        return replace(card, sent_ns=int(card.sent_ns))
-    except (ValueError, TypeError):
+    """The card in bytes that anybody may have written; None where they hold none."""
+    if len(said) > LONGEST_CARD:
         return None
+    try:
+        values = json.loads(said.removeprefix(MARK))
+    except (ValueError, RecursionError):  # brackets in brackets
+        return None
+    kinds = [each.type for each in fields(Card)]
+    if not isinstance(values, list) or [type(value) for value in values] != kinds:
+        return None
+    card = Card(*values)
+    return card if max(abs(card.started_ns), abs(card.sent_ns)) < LARGEST else None
 
 
 def stranger(data: bytes) -> tuple[str, str]:
@@ -72,9 +79,8 @@ def stranger(data: bytes) -> tuple[str, str]:
     return mission, f"{robot} on {host}"
 
 
-def _tame(text: object) -> str:
-    said = str(text)
-    return "".join(each for each in said[:LONGEST_WORD] if each.isprintable()) or "?"
+def _tame(text: str) -> str:
+    return "".join(each for each in text[:LONGEST_WORD] if each.isprintable()) or "?"
 
 
 def clock_refusal(card: Card, now_ns: int) -> str:
