@@ -7,6 +7,7 @@ the last moment that anybody knew of. What agents wrote down that they believed 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from fieldkit.settings import TICK_S
 from mission.core.kernel import Kernel
 from mission.core.mission_file import Mission
 from mission.core.timeline import Timeline
+from mission.replay.missions import began_ns, missions
 from mission.replay.replay import recorded_mission
 from mission.shell import journal as journals
 from mission.shell.agent_flight import hash_of
@@ -103,6 +105,8 @@ def collect(out: Path, places: Sequence[Path], report: Progress = lambda share, 
             refused.append(str(error))
     if not flights:
         raise DataError("no agent's journal could be taken in: " + "; ".join(refused))
+    flights, others = _of_the_latest(flights, round(mission.kernel.max_duration_s * 1e9))
+    refused += others
     robots = mission.kernel.engine.robots
     whole, contradictions = lay_together([flight.logs for flight in flights], robots)
     done = Collected(
@@ -210,6 +214,21 @@ def _result_beside(journal: Path) -> dict[str, Any] | None:
         if result is not None and "common_tick" in result:
             return result
     return None
+
+
+def _of_the_latest(flights: Sequence[Flight], most_apart_ns: int) -> tuple[list[Flight], list[str]]:
+    """The flights of the latest mission; those of others in words. Two missions fit into no recording."""
+    known = [flight.logs for flight in flights]
+    latest, *others = missions(known, most_apart_ns)
+    words = []
+    for group in others:
+        at = datetime.fromtimestamp(began_ns(known, group) * 1e-9, UTC)
+        words += [
+            f"{flights[number].journal}: it is of another mission with the same files, which began at "
+            f"{at:%Y-%m-%d %H:%M:%S} UTC: left out, the latest is taken in; give the folders of that one alone"
+            for number in group
+        ]
+    return [flights[number] for number in latest], words
 
 
 # -- together ----------------------------------------------------------------------------------------------
