@@ -38,7 +38,7 @@ from mission.core.kernel import Kernel, Outcome
 from mission.core.taking_up import Left, ended_ns
 from mission.safety.apart import SafetyApart
 from mission.safety.rules import Safety
-from mission.shell.alarms import LATE_STOP_S, unrecorded
+from mission.shell.alarms import LATE_STOP_S, late_stops, unrecorded
 from mission.shell.chronicle import Chronicle
 from mission.shell.journal import Journal
 from mission.shell.look_round import LookRound
@@ -81,6 +81,8 @@ class AgentRunner(Runner):
         self._own = Fleet(self.mission.kernel)
         self._rolls_since_s = math.inf
         """Since when its vehicle moves though it says that it holds."""
+        self._unshown_since_s = math.inf
+        """Since when it is to hold and its vehicle shows something else, though it has confirmed the order."""
         self._foreign: list[Operator] = []
         """Orders of others that are in the inbox."""
         crew, agent = self.crew, self.crew.agent
@@ -186,7 +188,7 @@ class AgentRunner(Runner):
         self._member.refuse(card, now_ns, twin)
 
     def alarms(self) -> list[str]:
-        """Those of any mission, its vehicle that moves though it says that it holds, and what of its files has failed.
+        """Those of any mission, its vehicle that does not hold as it says or was told, and files that have failed.
 
         The others have what it observes.
         """
@@ -195,8 +197,10 @@ class AgentRunner(Runner):
             rolling = [
                 f"{self.me} says that it holds, and moves at {vehicle.speed_m_s:.1f} m/s: stop it by hand"
             ]
+        late_s = self.setup.clock.elapsed_s() - self._unshown_since_s
+        unshown = [f"{each} ({_mode_words(vehicle)})" for each in late_stops({self.me: late_s})]
         common = "" if self.crew.common is None else self.crew.common.failure
-        return [*super().alarms(), *rolling, *unrecorded((common, self.crew.journal.failure))]
+        return [*super().alarms(), *rolling, *unshown, *unrecorded((common, self.crew.journal.failure))]
 
     def doing(self) -> dict[str, str]:
         """Its own robot's, and of the others what is planned, unless they have an order, or nobody knows."""
@@ -257,12 +261,21 @@ class AgentRunner(Runner):
     def _mind_hold(self) -> None:
         """Its word that it holds rests on what its vehicle shows: the order's own confirmation, its mode, its speed."""
         vehicle, now_s = self._own.robots[self.me].vehicle, self.setup.clock.elapsed_s()
-        shown = self.me not in self.dispatcher.unconfirmed()
-        self.crew.agent.talk.shows_hold = shown and (vehicle is None or holds(vehicle))
+        confirmed, talk = self.me not in self.dispatcher.unconfirmed(), self.crew.agent.talk
+        talk.shows_hold = confirmed and vehicle is not None and holds(vehicle)
         if vehicle is None or not rolls(vehicle):
             self._rolls_since_s = math.inf
         elif math.isinf(self._rolls_since_s):
             self._rolls_since_s = now_s
+        if (
+            not talk.is_to_hold
+            or talk.shows_hold
+            or not confirmed
+            or (vehicle is not None and rolls(vehicle))
+        ):
+            self._unshown_since_s = math.inf
+        elif math.isinf(self._unshown_since_s):
+            self._unshown_since_s = now_s
 
     def _carry_out(self, command: Command) -> None:
         """Its own robot's commands alone are its own to give."""
@@ -321,3 +334,10 @@ class AgentRunner(Runner):
         common = self.crew.agent.common
         told = {"robot": self.me, "common_hash": common.kernel.digest(), "common_tick": common.horizon}
         return super().result() | told | self._member.result()
+
+
+def _mode_words(vehicle: VehicleState | None) -> str:
+    """What a vehicle says of what it does, and why."""
+    if vehicle is None:
+        return "nothing was heard of its vehicle yet"
+    return f"its vehicle's mode is {vehicle.mode}{f': {vehicle.reason}' if vehicle.reason else ''}"

@@ -27,6 +27,8 @@ class Unruly(FakeFleet):
             super().stop(robot)
         elif self.does == "rolls on":
             self._set(robot, "hold")
+        elif self.does == "is not ours":
+            self.rovers[robot].stop()
 
     async def hold(self, robot: str) -> None:
         if self.does == "refuses":
@@ -101,3 +103,29 @@ def test_one_that_says_nothing_of_its_speed_is_believed_by_its_mode() -> None:
     assert not holds(state("hold", 0.21)) and rolls(state("hold", 0.21)) and not rolls(state("guided", 1.0))
     assert holds(state("hold", 0.5, flies=True)) and rolls(state("hold", 0.51, flies=True))
     assert not holds(state("hold", 0.0, link_up=False))
+
+
+def test_one_that_confirms_the_hold_and_shows_another_mode_is_named_by_its_own_agent(tmp_path: Path) -> None:
+    """As one whose link was lost meanwhile: it is not ours until it is resumed."""
+
+    async def act(team: dict[str, Robot]) -> None:
+        r1, r2 = team["r1"], team["r2"]
+        r2.fleet = fleet = Unruly(r2.fleet.rovers, r2.clock)
+        flights = asyncio.create_task(both(team))
+        await until(r1, lambda: abs(fleet.rovers["r2"].speed_m_s) > 0.3)
+        fleet.does = "is not ours"
+        assert r1.runner is not None and r2.runner is not None
+        r1.runner.put(Operator(r1.clock.now_ns(), "hold", None, "stop"))
+        fleet._set("r2", "other")
+        wanted, why = "r2 has not shown for", "(its vehicle's mode is other)"
+        await until(r1, lambda: any(wanted in each and why in each for each in r2.runner.alarms()), 8.0)  # type: ignore[union-attr]
+        assert not r2.runner.dispatcher.unconfirmed()
+        fleet.does = "obeys"
+        fleet.stop("r2")
+        await until(r1, lambda: not r2.runner.alarms(), 4.0)  # type: ignore[union-attr]
+        for robot in team.values():
+            assert robot.runner is not None
+            robot.runner.put(Operator(r1.clock.now_ns(), "end", None, "enough"))
+        await flights
+
+    two(tmp_path, act, duration_s=300.0)

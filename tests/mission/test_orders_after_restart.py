@@ -12,7 +12,7 @@ from fieldkit.engine.decentralised.packing import quantised
 from fieldkit.engine.decentralised.sealing import Seal
 from fieldkit.engine.decentralised.talk import Talk, code_of
 from fieldkit.errors import DeviceError
-from fieldkit.messages import Operator
+from fieldkit.messages import Operator, VehicleState
 from fieldkit.world.bodies import Rover
 from fieldkit.world.fake_network import Ether
 from fieldkit.world.network import Air
@@ -84,3 +84,14 @@ def test_an_order_that_was_obeyed_before_a_restart_is_not_obeyed_once_more(tmp_p
     assert agent.take(r2.say_order(hold, now_ns), now_ns) == []
     assert agent.take(r2.say_order(given("hold", 39.0), now_ns), now_ns) == [given("hold", 39.0)]
     assert agent.talk.obeyed == code_of(given("hold", 39.0))
+
+
+def test_after_a_restart_nobody_is_told_that_it_holds_before_its_vehicle_is_heard(tmp_path: Path) -> None:
+    runner = begun_again(tmp_path, ("r1", 10.0, given("hold", 10.0)))
+    talk = runner.crew.agent.talk
+    runner._speak()
+    assert talk.is_to_hold and not talk.shows_hold
+    for mode in ("guided", "hold"):
+        runner.decide(VehicleState(runner.setup.clock.now_ns(), "r1", mode, True))  # type: ignore[arg-type]
+        runner._speak()
+        assert talk.shows_hold == (mode == "hold")
