@@ -4,6 +4,7 @@ A record is its length, its CRC and what it holds; a kill cuts the last one at t
 goes on with its log where the journal ends, so that no number of it is ever given twice.
 """
 
+import errno
 import json
 import logging
 import os
@@ -21,6 +22,8 @@ from fieldkit.errors import RecordingError
 logger = logging.getLogger(__name__)
 
 NAME = "observations.log"
+BEGUN = ".begun"
+"""Behind the name of one that does not hold yet what was known when it began."""
 _HEAD = struct.Struct("<II")
 HEADER, PART, CLOSED, END = range(4)
 LEFT = b"left"
@@ -54,18 +57,25 @@ class Head:
 
 @dataclass
 class Journal:
-    """An open journal. `write` adds what is new in the logs."""
+    """An open journal. `write` adds what is new in the logs.
+
+    It has its name once all is in it that was known when it began: one that was cut before would be gone on with
+    instead of the whole one before it.
+    """
 
     path: Path
     failure: str = ""
     """Why nothing is written any more; empty while it is."""
     _file: int = -1
+    _is_named: bool = False
     _counts: dict[Key, int] = field(default_factory=dict)
     _closed: dict[Key, int] = field(default_factory=dict)
 
     def begin(self, head: Head) -> None:
         """Start the file."""
-        self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+        if self.path.exists():
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(self.path))
+        self._file = os.open(self._begun_as, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         self._add(HEADER, json.dumps(astuple(head)).encode())
 
     def write(self, logs: Logs) -> None:
@@ -83,16 +93,39 @@ class Journal:
             self._closed |= changed
             rows = [[*key, tick] for key, tick in changed.items()]
             self._add(CLOSED, json.dumps(rows, separators=(",", ":")).encode())
+        self._name()
 
     def end(self, *, left: bool = False) -> None:
         """Its agent has come to its end; `left`: the mission was not over by then, as far as is known here."""
         self._add(END, LEFT if left else b"")
+        self._name()
 
     def close(self) -> None:
         """Closing twice is harmless."""
         if self._file >= 0:
+            self._file = self._closed_file()
+            self._name()
+
+    @property
+    def _begun_as(self) -> Path:
+        return self.path.with_name(self.path.name + BEGUN)
+
+    def _name(self) -> None:
+        if self.failure or self._is_named:
+            return
+        is_open, self._file = self._file >= 0, self._closed_file()
+        try:
+            self._begun_as.rename(self.path)  # Windows names no file that is open
+            self._is_named = True
+            if is_open:
+                self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND)
+        except OSError as error:
+            self._fail(error)
+
+    def _closed_file(self) -> int:
+        if self._file >= 0:
             os.close(self._file)
-            self._file = -1
+        return -1
 
     def _add(self, kind: int, data: bytes) -> None:
         if self.failure or self._file < 0:
@@ -104,10 +137,13 @@ class Journal:
             while record:
                 record = record[os.write(self._file, record) :]
         except OSError as error:
-            self.failure = f"{self.path}: cannot be written: {error.strerror or error}"
-            logger.error(
-                "%s. The mission goes on; what this robot observes is with the others alone", self.failure
-            )
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        self.failure = f"{self.path}: cannot be written: {error.strerror or error}"
+        logger.error(
+            "%s. The mission goes on; what this robot observes is with the others alone", self.failure
+        )
 
 
 def load(path: Path, logs: Logs) -> tuple[int, str]:
