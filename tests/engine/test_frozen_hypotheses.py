@@ -1,15 +1,18 @@
 """One source or two, where most of what is known of the first is marginalised: it counts for both hypotheses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from fieldkit.channel.spread import assumed
 from fieldkit.engine.belief.intensity import hypotheses
 from fieldkit.engine.belief.intensity.belief import IntensityBelief
 from fieldkit.engine.grid import Grid
 from fieldkit.engine.settings import EngineSettings
 from fieldkit.messages import Detection, Listening
 from fieldkit.tuning import Tuning
-from mission.lab.study.trust import antenna
+from mission.lab.study.trust import antenna, known_power
 
 RADIO = antenna()
 FEW_OPEN = Tuning().with_tables({"intensity": {"max_open": 20}})
@@ -23,8 +26,8 @@ PERIOD_S = 10
 class Heard:
     """Two robots about a place, and what they hear; hypotheses are looked at after each transmission."""
 
-    def __init__(self, seed: int) -> None:
-        self.belief, self.rng, self.t_s = IntensityBelief(FIELD), np.random.default_rng(seed), 0
+    def __init__(self, seed: int, settings: EngineSettings = FIELD) -> None:
+        self.belief, self.rng, self.t_s = IntensityBelief(settings), np.random.default_rng(seed), 0
         self.most = 0
         """Candidates with as many receptions as a find needs, at any time."""
 
@@ -56,6 +59,14 @@ def test_one_source_stays_one_however_much_of_it_is_marginalised(seed: int) -> N
     assert world.most == 1
     east, north = world.belief.mixture.summary(known).mean_m
     assert np.hypot(east - 5.03, north - 5.03) < 0.3
+
+
+def test_one_source_stays_one_where_places_are_taken_to_make_noise() -> None:
+    """They do not here. Known by its strong packets alone, each place let its silence speak for a source far away."""
+    world = Heard(0, replace(FIELD, spread=known_power(assumed(RADIO)), tuning=Tuning()))
+    world.go(320, (5.03, 5.03))
+    assert [source.state for source in world.belief.sources() if source.receptions > 3.9] == ["found"]
+    assert world.most == 1
 
 
 def found_at(seed: int, places: np.ndarray, *heard: int) -> bool:

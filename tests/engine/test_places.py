@@ -122,7 +122,9 @@ def twin(model, d, point, level_dbm, earlier, lobe_db=0.0):
             mine = own_ears[q, ROBOT]
             cross = np.array([shadow(p, at, x, offset2 if u == mine else 0.0) for p, x, u in both])
             weights = np.linalg.solve(cov, cross)
-            shift = float(weights @ (np.array(rss) - level_dbm + 12.65 * np.log10(range2)))
+            silent = np.isinf(rss)
+            off = np.where(silent, -79.5 - 0.8 * np.sqrt(20.0), rss) - level_dbm + 12.65 * np.log10(range2)
+            shift = float(weights @ np.where(silent, np.minimum(off, 0.0), off))
             left -= float(weights @ cross)
         furthest = DEEPEST * np.sqrt(16.0 + offset2 + lobe_db**2 * float(u @ u))
         shift = float(np.clip(shift, -furthest, furthest))
@@ -131,6 +133,7 @@ def twin(model, d, point, level_dbm, earlier, lobe_db=0.0):
         mean = level_dbm - 12.65 * np.log10(range2) + shift
         if np.isnan(d.rss_dbm[q]):
             total += np.log(RADIO.packet_loss + (1 - RADIO.packet_loss) * norm.cdf(-79.5, mean, sigma))
+            place, rss, now, whose = [*place, at], [*rss, -np.inf], [*now, True], [*whose, own_ears[q, ROBOT]]
             continue
         wide = np.sqrt(sigma**2 + 1.0 / 12.0)
         z = d.rss_dbm[q]
@@ -148,14 +151,34 @@ def twin(model, d, point, level_dbm, earlier, lobe_db=0.0):
 @pytest.mark.parametrize(("receiver_db", "lobe_db"), [(0.0, 0.0), (3.0, 0.0), (0.0, 3.0), (2.0, 2.0)])
 def test_the_compiled_loop_agrees_with_a_plain_twin(receiver_db, lobe_db):
     model, places = noise(replace(SPREAD, lobe_db=lobe_db), receiver_db=receiver_db, measured=["r2"])
-    d = detection([-70.0, np.nan, -66.0], [(1.0, 2.0), (4.0, 4.0), (1.5, 2.0)])
+    d = detection([-70.0, np.nan, -66.0, np.nan], [(1.0, 2.0), (4.0, 4.0), (1.5, 2.0), (4.5, 3.5)])
     earlier = earlier_at(
-        model, [[1.1, 2.0], [3.0, 3.0], [2.0, 2.0]], [-60.0, -71.0, -65.0], ("r0", "r2", "r1")
+        model, [[1.1, 2.0], [3.0, 3.0], [2.0, 2.0]], [-60.0, -np.inf, -65.0], ("r0", "r2", "r1")
     )
     points = np.random.default_rng(2).uniform(0.0, 6.0, (30, 2))
     log = places.log_likelihood(d, points, earlier)
     for h, level in enumerate(model.level_dbm):
         assert log[h] == pytest.approx([twin(model, d, p, level, earlier, lobe_db) for p in points], abs=2e-4)
+
+
+def test_who_missed_packets_at_a_place_is_expected_to_miss_more_there():
+    """What was heard there alone is what was strong: conditioned on that only, silence would always be a surprise."""
+    model, places = noise()
+    here, point = [(9.0, 0.0)], np.zeros((1, 2))
+    heard = earlier_at(model, here * 2, [-76.0, -75.0])
+    both = earlier_at(model, here * 6, [-76.0, -np.inf, -np.inf, -75.0, -np.inf, -np.inf])
+    missed, again = detection([np.nan], here), detection([-75.0], here)
+
+    def of(d, earlier):
+        return places.log_likelihood(d, point, earlier)[LEVELS.index(0.0), 0]
+
+    assert of(missed, both) > of(missed, heard) + 0.1 and of(again, both) < of(again, heard) - 0.1
+    # Where nothing is expected anyway, silence says nothing: no shadow is learnt from it.
+    far = np.array([[-60.0, 0.0]])
+    alone = places.log_likelihood(missed, far, NONE)
+    assert places.log_likelihood(missed, far, earlier_at(model, here, [-np.inf])) == pytest.approx(
+        alone, abs=0.02
+    )
 
 
 def test_the_choice_of_neighbours_agrees_with_a_plain_twin():

@@ -146,6 +146,10 @@ def add_exposure(
                 exposure[h, r, c] += duration * (1.0 - silent[c])
 
 
+SILENT_BELOW = 0.8
+"""So many deviations under the threshold a reading would have been that was not heard, where it was expected at it."""
+
+
 @njit(cache=True, nogil=True)
 def conditional_loglik(
     points: FloatArray,
@@ -175,7 +179,8 @@ def conditional_loglik(
 ) -> None:
     """out (h, n): as `levels_loglik`, each robot's mean moved by what the same source's earlier readings were off.
 
-    `near` (m * k, columns of an ear), `near_rss` (m, k) and `near_count` (m,) are those readings, `cross` (m, k) and
+    `near` (m * k, columns of an ear), `near_rss` (m, k; -inf where nothing was heard) and `near_count` (m,) are those
+    readings, `cross` (m, k) and
     `cov` (m, k, k) as `choose_neighbours` has them; `lobe_var` (dB^2) is that of each coordinate of the transmitter's
     lobe, which readings in one direction from it have in common. A reading made so near the point that an unsure place
     alone moves it by decibels says less of the shadow, and no shadow is believed that is deeper than `deepest` of its
@@ -184,7 +189,8 @@ def conditional_loglik(
     n, m, n_levels, most = points.shape[0], ears.shape[0], levels.shape[0], cross.shape[1]
     noise, off_dbm, weights, part = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
     work, alike, toward = np.empty((most, most)), np.empty((most, most)), np.empty((most, 2))
-    alike_here = np.empty(most)
+    alike_here, silent, missed = np.empty(most), np.empty(most, dtype=np.bool_), np.empty(n_levels)
+    typical = SILENT_BELOW * math.sqrt(place_var + time_var)
     silent_top = log_silent.shape[0] - 1.000001
     heard_top = log_heard.shape[0] - 1.000001
     for i in range(n):
@@ -204,9 +210,10 @@ def conditional_loglik(
                 away = 0.5 * math.log10(away2)
                 steep = slope_db(away, law)
                 fainter = loss_db(away, law)
-                off_dbm[j] = (
-                    near_rss[q, j] + fainter + beyond_distance_db(east, north, near, row, away2, law, pattern)
-                )
+                fainter += beyond_distance_db(east, north, near, row, away2, law, pattern)
+                silent[j] = math.isinf(near_rss[q, j])
+                # Silence is taken for what it mostly is, and for no more than that where less is expected anyway.
+                off_dbm[j] = fainter + (near[row, THRESHOLD] + 0.5 - typical if silent[j] else near_rss[q, j])
                 its2 = near[row, SIGMA] * near[row, SIGMA]
                 noise[j] = time_var + 1.0 / 12.0 + steep * steep * its2 / (away2 + its2)
                 # Where the place is unsure beside the distance, so is the direction.
@@ -228,7 +235,13 @@ def conditional_loglik(
             left = own_var + time_var - weigh(near_count[q], alike, alike_here, noise, work, part, weights)
             moved = 0.0
             taken = 0.0
+            for h in range(n_levels):
+                missed[h] = 0.0
             for j in range(near_count[q]):
+                if silent[j]:
+                    for h in range(n_levels):
+                        missed[h] += weights[j] * min(off_dbm[j] - levels[h], 0.0)
+                    continue
                 moved += weights[j] * off_dbm[j]
                 taken += weights[j]
             unsure2 = ears[q, SIGMA] * ears[q, SIGMA]
@@ -236,14 +249,14 @@ def conditional_loglik(
             if math.isnan(rss[q]):
                 scale = per_sigma / spread
                 for h in range(n_levels):
-                    off = min(max(moved - levels[h] * taken, -furthest), furthest)
+                    off = min(max(moved + missed[h] - levels[h] * taken, -furthest), furthest)
                     margin = levels[h] - attenuation + off - ears[q, THRESHOLD] - 0.5
                     at = min(max(margin * scale - silent_from * per_sigma, 0.0), silent_top)
                     k = int(at)
                     out[h, i] += log_silent[k] + (at - k) * (log_silent[k + 1] - log_silent[k])
             elif saturated[q] > 0.0:
                 for h in range(n_levels):
-                    off = min(max(moved - levels[h] * taken, -furthest), furthest)
+                    off = min(max(moved + missed[h] - levels[h] * taken, -furthest), furthest)
                     t = (rss[q] - 0.5 - (levels[h] - attenuation + off)) / spread
                     p = (1.0 - loss) * ((1.0 - outlier) * _upper(t) + outlier * _upper(t / outlier_width))
                     out[h, i] += math.log(max(p, 1e-300))
@@ -252,7 +265,7 @@ def conditional_loglik(
                 norm = math.log((1.0 - loss) / (wide * math.sqrt(2.0 * math.pi)))
                 scale = per_sigma / wide
                 for h in range(n_levels):
-                    off = min(max(moved - levels[h] * taken, -furthest), furthest)
+                    off = min(max(moved + missed[h] - levels[h] * taken, -furthest), furthest)
                     at = min(abs(rss[q] - levels[h] + attenuation - off) * scale, heard_top)
                     k = int(at)
                     out[h, i] += norm + log_heard[k] + (at - k) * (log_heard[k + 1] - log_heard[k])

@@ -16,8 +16,9 @@ from fieldkit.channel import law
 from fieldkit.channel.model import MIN_RANGE_M, Antenna
 from fieldkit.channel.spread import ChannelSpread
 from fieldkit.engine.likelihood import levels_loops
-from fieldkit.engine.likelihood.ears_loops import COLUMNS, NORTH, OFFSET, SIGMA, UP
+from fieldkit.engine.likelihood.ears_loops import COLUMNS, NORTH, OFFSET, SIGMA, THRESHOLD, UP
 from fieldkit.engine.likelihood.levels import PER_SIGMA, SILENT_FROM, LevelsModel, tables
+from fieldkit.engine.likelihood.levels_loops import SILENT_BELOW
 from fieldkit.engine.likelihood.places_loops import choose_neighbours, weigh
 from fieldkit.messages import Detection, FloatArray, IntArray
 
@@ -81,7 +82,11 @@ def _hear_after_silence(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Earlier:
-    """A candidate's own readings: by which ears (k, columns) and how strong (k,)."""
+    """A candidate's own readings: by which ears (k, columns) and how strong (k,); -inf where those heard nothing.
+
+    Who listened and heard nothing is among them: a place where some packets are heard and some are not would else be
+    known by the strong ones alone, and every silence there would be a surprise that another source, far away, explains.
+    """
 
     ears: FloatArray
     rss_dbm: FloatArray
@@ -223,7 +228,11 @@ class PlaceNoise:
             alone = self._neighbours(detection, ears, earlier)
             near = alone.of_one_lobe(self.lobe_var, toward(ears), toward(alone.ears))
             weights, explained = near.weighed(self.time_var + 1.0 / 12.0 + unsure_db2(near.ears))
-            off = weights * (near.rss_dbm - level_dbm + fainter_db(near.ears))
+            silent = np.isinf(near.rss_dbm)
+            typical = SILENT_BELOW * np.sqrt(self.place_var + self.time_var)
+            read = np.where(silent, near.ears[..., THRESHOLD] + 0.5 - typical, near.rss_dbm)
+            off = read - level_dbm + fainter_db(near.ears)
+            off = weights * np.where(silent, np.minimum(off, 0.0), off)
             alike = self.place_var + ears[:, OFFSET] + self.lobe_var * (toward(ears) ** 2).sum(axis=-1)
             furthest = DEEPEST * np.sqrt(alike)
             expected = np.clip(off.sum(axis=1), -furthest, furthest)
@@ -231,9 +240,10 @@ class PlaceNoise:
             variance = self.time_var + alike - explained + unsure_db2(ears) + 1.0 / 12.0
             residual = detection.rss_dbm - level_dbm + fainter_db(ears) - expected
             squares += np.minimum(residual[use] ** 2 / variance[use], 12.0).tolist()
+            told = ~detection.saturated
             earlier = Earlier(
-                np.concatenate([earlier.ears, ears[use]]),
-                np.concatenate([earlier.rss_dbm, detection.rss_dbm[use]]),
+                np.concatenate([earlier.ears, ears[told]]),
+                np.concatenate([earlier.rss_dbm, np.where(use, detection.rss_dbm, -np.inf)[told]]),
             )
         return (float(np.mean(squares)) if squares else 0.0), len(squares)
 
@@ -250,8 +260,8 @@ class PlaceNoise:
         choose_neighbours(
             np.argsort(~detection.heard, kind="stable"),  # who heard goes first: silence is conditioned on it
             ears,
-            detection.rss_dbm,
-            (detection.heard & ~detection.saturated).astype(float),
+            np.where(detection.heard, detection.rss_dbm, -np.inf),
+            (~detection.saturated).astype(float),
             np.ascontiguousarray(earlier.ears),
             np.ascontiguousarray(earlier.rss_dbm),
             self.place_var,

@@ -191,7 +191,7 @@ class IntensityBelief:
         distance = np.sqrt(((ears[:, : NORTH + 1] - point) ** 2).sum(axis=1) + ears[:, UP] ** 2)
         mean = self.model.level_dbm[level] - self.mixture.ears.attenuation_db(point[None], ears)[0]
         squares = ((rss - mean) / self.model.spread_db(distance)) ** 2
-        use = ~np.isnan(rss)
+        use = np.isfinite(rss)
         count = int(use.sum())
         return (
             float(np.minimum(squares[use], 12.0).mean()) if count else 0.0

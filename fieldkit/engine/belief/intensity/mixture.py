@@ -47,9 +47,9 @@ class OpenDetection:
     near_m: FloatArray
     """(k, 2) where it was heard."""
     ears: FloatArray
-    """(k, columns) by whom, as the likelihood sees them."""
+    """(m, columns) of all who listened, as the likelihood sees them."""
     rss_dbm: FloatArray
-    """(k,) how strongly; nan where at the receiver's ceiling."""
+    """(m,) how strongly they heard it; nan where at the receiver's ceiling, -inf where not at all."""
     sigma_m: float
     """Mean deviation of the positions of those who listened."""
 
@@ -301,8 +301,8 @@ class Mixture:
             scale,
             clutter,
             heard_at,
-            self.ears.of_detection(detection)[detection.heard],
-            np.where(detection.saturated, np.nan, detection.rss_dbm)[detection.heard],
+            self.ears.of_detection(detection),
+            np.where(detection.saturated, np.nan, np.where(detection.heard, detection.rss_dbm, -np.inf)),
             float(detection.sigma_m.mean()) if detection.sigma_m.size else 0.0,
         )
 
