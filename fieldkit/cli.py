@@ -40,7 +40,7 @@ def _root(
 ) -> None:
     console.be_quiet(quiet)
     logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING,
+        level=logging.INFO if verbose else logging.WARNING if quiet else console.NEWS,
         format=f"%(asctime)s %(levelname)s{' %(name)s' if verbose else ''}: %(message)s",
         datefmt=None if verbose else "%H:%M:%S",
         handlers=[console.StderrHandler()],

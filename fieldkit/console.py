@@ -13,6 +13,10 @@ from typing import Any, TextIO
 COLUMNS = 80
 """Of a terminal that nobody has made wider."""
 
+NEWS = 25
+"""The level of a log line that is no trouble, and to be said all the same: between information and a warning."""
+logging.addLevelName(NEWS, "NEWS")
+
 _quiet = False
 
 

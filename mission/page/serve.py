@@ -22,9 +22,6 @@ from mission.page.view import View
 from mission.safety.rules import Safety
 from mission.shell.keyboard import Commanded
 
-ON_THE_PAGE = "operator, on the page"
-"""Why something is done that was pressed there."""
-
 
 class Answering(Protocol):
     """What knows the answers to orders."""
@@ -62,6 +59,7 @@ class LivePage:
     def __init__(self, mission: Mission, host: str, port: int) -> None:
         self._runner: Steering | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._where = ""
         view = View(mission, self._answers, alarms=self._alarms)
         self.follower = LiveShow(view)
         background = background_or_none(mission)
@@ -74,9 +72,13 @@ class LivePage:
         """What End on it ends, where that is not the whole mission. Before anybody looks."""
         self.follower.view.ends = what
 
-    def attach(self, runner: Steering) -> None:
-        """Commands go to this runner, in the event loop that runs now."""
+    def attach(self, runner: Steering, where: str = "the page") -> None:
+        """Commands go to this runner, in the event loop that runs now.
+
+        `where`: whose page this is, for those who read elsewhere who gave an order.
+        """
         self._runner, self._loop = runner, asyncio.get_running_loop()
+        self._where = where
         self.follower.disk = DiskWords(runner.recorder.path)
         self.follower.is_over = lambda: bool(runner.end_reason)
 
@@ -102,7 +104,9 @@ class LivePage:
             return why
 
         def put() -> None:
-            runner.put(Operator(runner.setup.clock.now_ns(), **{"reason": ON_THE_PAGE} | command))
+            runner.put(
+                Operator(runner.setup.clock.now_ns(), **{"reason": f"operator, on {self._where}"} | command)
+            )
 
         loop.call_soon_threadsafe(put)
         return ""

@@ -161,7 +161,7 @@ def fly_agent(
 
         async def run() -> None:
             if page is not None:
-                page.attach(runner)
+                page.attach(runner, f"{card.robot}'s page")
             if setup.tap is not None:
                 setup.tap.listen(lambda robot, data: recorder.raw(setup.clock.now_ns(), robot, data))
             async with network:
@@ -175,7 +175,7 @@ def fly_agent(
 def _stand_by_orders(runner: AgentRunner) -> None:
     """What operators ordered before a restart stands: safety is told again, in order."""
     for order in runner.crew.agent.remembered():
-        runner.safety.observe(order)
+        runner.remember(order)
 
 
 def left_in(path: Path, mission: Mission, robot: str, wait_s: float) -> Left:

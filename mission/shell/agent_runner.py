@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from fieldkit.console import NEWS
 from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second
 from fieldkit.engine.decentralised.logs import STEP_NS
 from fieldkit.engine.decentralised.packing import quantised
@@ -41,9 +42,9 @@ from mission.safety.rules import Safety
 from mission.shell.alarms import LATE_STOP_S, late_stops, unrecorded
 from mission.shell.chronicle import Chronicle
 from mission.shell.journal import Journal
-from mission.shell.look_round import LookRound
+from mission.shell.look_round import LOOK_ROUND_S, LookRound
 from mission.shell.member import Member
-from mission.shell.others import ORDERED
+from mission.shell.others import ordered_words
 from mission.shell.runner import Runner
 
 logger = logging.getLogger(__name__)
@@ -83,6 +84,8 @@ class AgentRunner(Runner):
         """Since when its vehicle moves though it says that it holds."""
         self._unshown_since_s = math.inf
         """Since when it is to hold and its vehicle shows something else, though it has confirmed the order."""
+        self._held_by: dict[str, str] = {}
+        """Robot to who held it last."""
         self._foreign: list[Operator] = []
         """Orders of others that are in the inbox."""
         crew, agent = self.crew, self.crew.agent
@@ -95,6 +98,7 @@ class AgentRunner(Runner):
             crew.journal,
             agent.lines,
             self._say,
+            self._tell,
         )
         self._member.keeps_journal = any(agent.logs.counts().values())
         super().__post_init__()
@@ -119,6 +123,8 @@ class AgentRunner(Runner):
         """The agent's word. Others' orders it has from their logs."""
         if isinstance(event, Pose | ReceiverState | VehicleState):
             self._own.take_in(event)
+        if isinstance(event, Operator):
+            self._note_who(event)
         if isinstance(event, Operator) and event in self._foreign:
             self._foreign.remove(event)
             why = f": {event.reason}" if event.reason else ""
@@ -127,6 +133,18 @@ class AgentRunner(Runner):
         self._apart.beside = self.crew.agent.beside
         self.kernel = self.records.kernel = self.crew.agent.line.kernel
         return outcome
+
+    def remember(self, order: Operator) -> None:
+        """An order from before a restart stands: safety is told again."""
+        self._note_who(order)
+        self.safety.observe(order)
+
+    def _note_who(self, order: Operator) -> None:
+        """Who has held whom, as far as the order says it."""
+        if order.action in ("hold", "end") and order.reason:
+            self._held_by |= dict.fromkeys(
+                self.safety.robots if order.robot is None else (order.robot,), order.reason
+            )
 
     def put(self, event: Event) -> None:
         """Into the inbox; an operator's order goes out to the others as well, at once."""
@@ -187,6 +205,11 @@ class AgentRunner(Runner):
         twin = f"a second agent for {mine.robot}, on {card.host}, has to end" if is_twin else ""
         self._member.refuse(card, now_ns, twin)
 
+    def _tell(self, text: str) -> None:
+        """Words that are no trouble."""
+        logger.log(NEWS, text)
+        self._note("info", text)
+
     def alarms(self) -> list[str]:
         """Those of any mission, its vehicle that does not hold as it says or was told, and files that have failed.
 
@@ -205,9 +228,9 @@ class AgentRunner(Runner):
     def doing(self) -> dict[str, str]:
         """Its own robot's, and of the others what is planned, unless they have an order, or nobody knows."""
         ordered = {
-            name: ORDERED[robot.ordered]
+            name: ordered_words(robot.ordered, self._held_by.get(name, ""))
             for name, robot in self.safety.robots.items()
-            if robot.ordered and name != self.me
+            if robot.ordered and (name != self.me or (robot.ordered == "hold" and name in self._held_by))
         }
         return self._doing | ordered | self._member.contacts.absent()
 
@@ -215,8 +238,12 @@ class AgentRunner(Runner):
 
     async def _start(self) -> None:
         """Look round first: nothing of the robot's is touched where another agent has it."""
-        crew, clock, remember = self.crew, self.setup.clock, self.safety.observe
-        await LookRound(crew.agent, clock, remember, self._say, self._speak, crew.left, crew.left_in).run()
+        crew, clock, remember = self.crew, self.setup.clock, self.remember
+        self._tell(
+            f"listens for {LOOK_ROUND_S:g} s who else is there, before anything of {self.me}'s is touched"
+        )
+        says = (self._say, self._tell, self._speak)
+        await LookRound(crew.agent, clock, remember, *says, crew.left, crew.left_in).run()
         while not self._inbox.empty():  # orders in what has come back are obeyed first
             await clock.sleep(TICK_S)
         self._member.keeps_journal = True
@@ -225,6 +252,7 @@ class AgentRunner(Runner):
             self._say(
                 f"no other agent is heard yet (looked {where}): it goes on looking, and after {wait_s:g} s alone"
             )
+        self._tell(f"waits for {self.me}'s position and vehicle, checks it, and acquires control of it")
         await super()._start()
 
     def _is_ready(self) -> None:

@@ -33,18 +33,20 @@ async def hold_all(
     """
     talk = Talk(Logs(robots[0], robots), Seal(session_key(key, card.common), OPERATOR))
     others, names, why = Refused(), Names(), dict[str, str]()
-    order = quantised(Operator(clock.now_ns(), "hold", None, "operator, by --hold"))
+    order = quantised(Operator(clock.now_ns(), "hold", None, f"operator, by --hold on {card.host}"))
     assert isinstance(order, Operator)
     said = {}
     async with network:
-        listening = asyncio.create_task(_listen(network, talk, clock, key, card, others, why), name="listen")
+        listening = asyncio.create_task(
+            _listen(network, talk, clock, key, card, others, why, say), name="listen"
+        )
         until_s = clock.elapsed_s() + patience_s
         while clock.elapsed_s() < until_s:
             network.publish(talk.say_order(order, clock.now_ns()), urgent=True)
             await clock.sleep(EVERY_S)
             for news in names.news(network.unresolved):
                 say(news)
-            said = {name: _word(talk, name, order, why.get(name) or why.get("", "")) for name in robots}
+            said = {name: _word(talk, name, order, why.get(name, "")) for name in robots}
             if set(said.values()) == {"holds"}:
                 break
         listening.cancel()
@@ -61,14 +63,22 @@ def _word(talk: Talk, name: str, order: Operator, why: str) -> str:
 
 
 async def _listen(
-    network: Network, talk: Talk, clock: Clock, key: bytes, mine: Card, others: Refused, why: dict[str, str]
+    network: Network,
+    talk: Talk,
+    clock: Clock,
+    key: bytes,
+    mine: Card,
+    others: Refused,
+    why: dict[str, str],
+    say: Callable[[str], None],
 ) -> None:
-    """Take in what is said. `why`: why a robot is not heard, or, under no name, nobody may be."""
+    """Take in what is said. `why`: why a robot is not heard; that others have another key is said at once."""
     async for data in network.messages():
         now_ns = clock.now_ns()
         if not data.startswith(MARK):
             talk.take(data, now_ns)
         elif (card := read_card(key, data)) is None:
-            why[""] = others.other_mission(mine, data) or why.get("", "")
+            if said := others.other_mission(mine, data):
+                say(said)
         elif reason := refusal(mine, card):
             why[card.robot] = reason

@@ -31,6 +31,8 @@ class LookRound:
     remember: Callable[[Operator], object]
     """Takes an order that stands in a log which the agent goes on with."""
     say: Callable[[str], None]
+    tell: Callable[[str], None]
+    """Takes what is no trouble."""
     speak: Callable[[], None]
     """What is to be said at a tick."""
     left: Left | None = None
@@ -64,7 +66,7 @@ class LookRound:
             lacked_s = lacked_s + TICK_S if lacks else 0.0
         if self._known() > self._knew:
             what = "the end of it, which the journal lacked" if self._knew else "where it stood"
-            self.say(f"goes on with {self.agent.me}'s log, {what}: the others have brought it back")
+            self.tell(f"goes on with {self.agent.me}'s log, {what}: the others have brought it back")
 
     def _known(self) -> int:
         logs = self.agent.logs
@@ -88,7 +90,7 @@ class LookRound:
             for order in self.agent.remember_anew():
                 self.remember(order)
             self.left, self._knew = None, self._known()
-            self.say(f"goes on with {me}'s log, where it stood: {self.left_in}")
+            self.tell(f"goes on with {me}'s log, where it stood: {self.left_in}")
         elif waited_s >= LOOK_ROUND_S and left.is_over(talk, self.clock.now_ns()):
             self.left = None
-            self.say(f"begins a new mission: the one that {me}'s agent was in is over ({self.left_in})")
+            self.tell(f"begins a new mission: the one that {me}'s agent was in is over ({self.left_in})")

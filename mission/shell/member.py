@@ -21,7 +21,7 @@ CARD_EVERY_S = 5.0
 
 @dataclass
 class Member:
-    """See the module. `say` puts words before the operator."""
+    """See the module. `say` puts trouble before the operator, `tell` what is none."""
 
     clock: Clock
     network: Network
@@ -31,6 +31,7 @@ class Member:
     journal: Journal
     lines: Lines
     say: Callable[[str], None]
+    tell: Callable[[str], None]
     others: Refused = field(default_factory=Refused)
     keeps_journal: bool = True
     """Not while its robot's own log may still come back: a journal with less of it would be gone on with."""
@@ -62,8 +63,11 @@ class Member:
 
     def mind_contact(self) -> None:
         """Say who has come into contact, and who has gone."""
-        for said in self.contacts.news(self.clock.now_ns()):
+        gone, come = self.contacts.news(self.clock.now_ns())
+        for said in gone:
             self.say(said)
+        for said in come:
+            self.tell(said)
 
     def met(self, data: bytes) -> Card | None:
         """Who has said who he is; None where that is one of another key, which is said."""

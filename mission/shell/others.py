@@ -16,6 +16,13 @@ ORDERED = {
     "withdraw": "out of the mission",
 }
 """What a robot does that has a standing order."""
+
+
+def ordered_words(action: str, by: str) -> str:
+    """What a robot does that has a standing order, and of a hold whose, where that is known."""
+    return f"held: {by}" if action == "hold" and by else ORDERED[action]
+
+
 MOST_MISSIONS = 5
 """So many other missions are named: what those say of themselves anybody may have made up."""
 
@@ -88,8 +95,8 @@ class Contacts:
     """How old what was known of each other robot was then; infinite where nothing was."""
     _without: set[str] = field(default_factory=set)
 
-    def news(self, now_ns: int) -> list[str]:
-        """What has changed since the last look, in words."""
+    def news(self, now_ns: int) -> tuple[list[str], list[str]]:
+        """What has changed since the last look, in words: what is trouble, and what is none."""
         lines = self.lines
         self.ages_s = lines.ages_s(now_ns)
         present, before = set(lines.present(now_ns)) - {lines.logs.me}, self.present
@@ -97,14 +104,14 @@ class Contacts:
             f"{name} is out of contact: what is known of it is {self.ages_s[name]:.0f} s old"
             for name in sorted(before - present)
         ]
-        said += [f"{name} is in contact" for name in sorted(present - before)]
+        come = [f"{name} is in contact" for name in sorted(present - before)]
         never = {name for name, age_s in self.ages_s.items() if math.isinf(age_s)}
         without = never - set(lines.line.members) if lines.line is not lines.common else set()
         if lines.logs.me and without - self._without:
             alone = "alone" if len(lines.line.members) == 1 else "without them"
             said.append(f"nothing was heard of {', '.join(sorted(without))}: it goes on {alone}")
         self.present, self._without = present, without
-        return said
+        return said, come
 
     def absent(self) -> dict[str, str]:
         """Robots out of contact, and how old what is known of each is, in words."""

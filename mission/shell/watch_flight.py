@@ -65,7 +65,7 @@ def watch_team(
 
         async def run() -> None:
             if page is not None:
-                page.attach(watching)
+                page.attach(watching, "the laptop's page")
             with keyboard(watching, "page", "the laptop's terminal"):
                 await watching.run()
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from fieldkit.clock import Clock
+from fieldkit.console import NEWS
 from fieldkit.engine.decentralised.card import MARK, Card, clock_refusal, is_second, refusal
 from fieldkit.engine.decentralised.talk import WATCHERS
 from fieldkit.messages import Event, Operator, Tick
@@ -29,7 +30,7 @@ from mission.shell.chronicle import Chronicle
 from mission.shell.intake import end_tasks
 from mission.shell.journal import RESUME_WITHIN_S, Journal
 from mission.shell.member import CARD_EVERY_S, Member
-from mission.shell.others import ORDERED
+from mission.shell.others import ORDERED, ordered_words
 from mission.shell.progress import Progress
 from mission.shell.recorder import Look, MissionRecorder
 from mission.shell.setups import Setup
@@ -109,6 +110,7 @@ class Watching:
             self.journal,
             watcher.lines,
             self._say,
+            self._tell,
         )
         self._doing: dict[str, str] = {}
         self._has_begun = False
@@ -236,6 +238,10 @@ class Watching:
         logger.warning(text)
         self.records.note("warning", text, self.clock.now_ns())
 
+    def _tell(self, text: str) -> None:
+        logger.log(NEWS, text)
+        self.records.note("info", text, self.clock.now_ns())
+
     # -- what is thought and shown -------------------------------------------------------------------------
 
     async def _think(self, pool: ThreadPoolExecutor) -> None:
@@ -290,7 +296,7 @@ class Watching:
     def doing(self) -> dict[str, str]:
         """What robots do: as planned, unless they have an order, or nobody knows."""
         ordered = {
-            name: ORDERED[order.action] if shown else f"{order.action}: not shown yet"
+            name: ordered_words(order.action, order.reason) if shown else f"{order.action}: not shown yet"
             for name, (order, shown) in self.watcher.orders.standing().items()
             if order.action in ORDERED
         }

@@ -142,7 +142,7 @@ def test_a_laptop_that_comes_late_shows_all_holds_all_and_leaves_what_collect_ta
         took_s.append(await until(r1, lambda: all(map(stands, team.values()))))
         await r1.clock.sleep(2.0)
         assert not laptop.at.alarms() and not laptop.at.watcher.unheld()
-        assert laptop.at.doing() == dict.fromkeys(NAMES, "held by the operator")
+        assert laptop.at.doing() == dict.fromkeys(NAMES, "held: operator, on the page")
         assert {each for each, _ in laptop.at.dispatcher.answers.values()} == {"hold"}
         laptop.order("resume", "r2")
         await until(r1, lambda: not stands(team["r2"]))

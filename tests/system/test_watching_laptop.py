@@ -111,7 +111,7 @@ def test_two_laptops_come_show_all_hold_all_and_go(
             if process.poll() is None:
                 process.kill()
                 process.wait()
-    assert laptop.process.returncode == 0 and told["end_reason"] == "operator, on the page"
+    assert laptop.process.returncode == 0 and told["end_reason"] == "operator, on the laptop's page"
     assert told["not_shown_to_hold"] == told["not_handed_on"] == [] and not told["dropped"]["strangers"]
     assert replay(laptop.log / "common.mcap").complete
     done = collect(tmp_path / "collected.mcap", [tmp_path])
