@@ -135,6 +135,7 @@ def agent(
     from mission.core.mission_file import read_mission
     from mission.shell import setups
     from mission.shell.agent_flight import Options, card_of, fly_agent, interrupted, left
+    from mission.shell.alone import alone
     from mission.shell.terminal import Watch
     from mission.shell.warm_up import warm_up
 
@@ -168,7 +169,7 @@ def agent(
         say(
             "engine.planner is dprwa: robots out of contact will not meet as planned; 'dprwa-apart' keeps meetings"
         )
-    with before_the_start(), begun_folder(out, mission) as (folder, on_start):
+    with before_the_start(), alone(robot, topic), begun_folder(out, mission) as (folder, on_start):
         if resumed is not None:
             say(f"goes on with what {robot} knew: {resumed}", always=True)
         say(f"{robot} records to {folder}")
