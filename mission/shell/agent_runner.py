@@ -221,7 +221,9 @@ class AgentRunner(Runner):
                 f"{self.me} says that it holds, and moves at {vehicle.speed_m_s:.1f} m/s: stop it by hand"
             ]
         late_s = self.setup.clock.elapsed_s() - self._unshown_since_s
-        unshown = [f"{each} ({_mode_words(vehicle)})" for each in late_stops({self.me: late_s})]
+        shows = vehicle is not None and holds(vehicle)  # by now: between two ticks it may have come to it
+        late = [] if shows else late_stops({self.me: late_s})
+        unshown = [f"{each} ({_mode_words(vehicle)})" for each in late]
         common = "" if self.crew.common is None else self.crew.common.failure
         return [*super().alarms(), *rolling, *unshown, *unrecorded((common, self.crew.journal.failure))]
 

@@ -95,3 +95,18 @@ def test_after_a_restart_nobody_is_told_that_it_holds_before_its_vehicle_is_hear
         runner.decide(VehicleState(runner.setup.clock.now_ns(), "r1", mode, True))  # type: ignore[arg-type]
         runner._speak()
         assert talk.shows_hold == (mode == "hold")
+        if mode == "guided":
+            runner._unshown_since_s = runner.setup.clock.elapsed_s() - 2.0
+            (said,) = runner.alarms()
+            assert said == "r1 has not shown for 2 s that it holds (its vehicle's mode is guided)"
+        else:
+            assert not runner.alarms()
+
+
+def test_a_vehicle_that_has_come_to_hold_between_two_ticks_is_no_alarm(tmp_path: Path) -> None:
+    runner = begun_again(tmp_path, ("r1", 10.0, given("hold", 10.0)))
+    runner._speak()
+    runner._unshown_since_s = runner.setup.clock.elapsed_s() - 2.0
+    assert len(runner.alarms()) == 1
+    runner.decide(VehicleState(runner.setup.clock.now_ns(), "r1", "hold", True))
+    assert not runner.alarms()
