@@ -85,6 +85,22 @@ def test_without_place_noise_it_equals_independent_readings(still):
     )
 
 
+def residuals(rss, mean):
+    """What readings are off the mean; where nothing was heard, what silence is mostly off, and never more than it."""
+    silent = np.isinf(rss)
+    off = np.where(silent, -79.5 - 0.8 * np.sqrt(20.0), rss) - mean
+    return np.where(silent, np.minimum(off, 0.0), off)
+
+
+def log_read(z, mean, sigma):
+    """log p of a reading, or of silence (-inf)."""
+    if np.isinf(z):
+        return np.log(RADIO.packet_loss + (1 - RADIO.packet_loss) * norm.cdf(-79.5, mean, sigma))
+    wide = np.sqrt(sigma**2 + 1.0 / 12.0)
+    core, tail = norm.pdf(z, mean, wide), norm.pdf(z, mean, RADIO.outlier_width * wide)
+    return np.log((1 - RADIO.packet_loss) * ((1 - RADIO.outliers) * core + RADIO.outliers * tail))
+
+
 def twin(model, d, point, level_dbm, earlier, lobe_db=0.0):
     """log p robot by robot, those who heard first, from the docstrings of `levels` and `places`."""
     smear = 25.3 / np.log(10.0) * model.place_sigma_m
@@ -122,28 +138,15 @@ def twin(model, d, point, level_dbm, earlier, lobe_db=0.0):
             mine = own_ears[q, ROBOT]
             cross = np.array([shadow(p, at, x, offset2 if u == mine else 0.0) for p, x, u in both])
             weights = np.linalg.solve(cov, cross)
-            silent = np.isinf(rss)
-            off = np.where(silent, -79.5 - 0.8 * np.sqrt(20.0), rss) - level_dbm + 12.65 * np.log10(range2)
-            shift = float(weights @ np.where(silent, np.minimum(off, 0.0), off))
+            shift = float(weights @ residuals(np.array(rss), level_dbm - 12.65 * np.log10(range2)))
             left -= float(weights @ cross)
         furthest = DEEPEST * np.sqrt(16.0 + offset2 + lobe_db**2 * float(u @ u))
         shift = float(np.clip(shift, -furthest, furthest))
         range2 = max(float(((at - point) ** 2).sum()), MIN_RANGE_M**2)
         sigma = np.sqrt(left + smear**2 / (range2 + model.place_sigma_m**2))
         mean = level_dbm - 12.65 * np.log10(range2) + shift
-        if np.isnan(d.rss_dbm[q]):
-            total += np.log(RADIO.packet_loss + (1 - RADIO.packet_loss) * norm.cdf(-79.5, mean, sigma))
-            place, rss, now, whose = [*place, at], [*rss, -np.inf], [*now, True], [*whose, own_ears[q, ROBOT]]
-            continue
-        wide = np.sqrt(sigma**2 + 1.0 / 12.0)
-        z = d.rss_dbm[q]
-        total += np.log(
-            (1 - RADIO.packet_loss)
-            * (
-                (1 - RADIO.outliers) * norm.pdf(z, mean, wide)
-                + RADIO.outliers * norm.pdf(z, mean, RADIO.outlier_width * wide)
-            )
-        )
+        z = -np.inf if np.isnan(d.rss_dbm[q]) else d.rss_dbm[q]
+        total += log_read(z, mean, sigma)
         place, rss, now, whose = [*place, at], [*rss, z], [*now, True], [*whose, own_ears[q, ROBOT]]
     return total
 
