@@ -112,26 +112,28 @@ class Flock:
 
     def fly(self, most_s: float) -> Flown:
         """To the end of everybody's mission, or for `most_s`."""
-        covered: dict[int, float] = {}
+        covered: dict[str, dict[int, float]] = {name: {} for name in self.agents}
         self.begin()
         oldest_s, nearest_m, merged_s = 0.0, math.inf, None
         while len(self.ended.keys() | self.lost) < len(self.agents) and self.world.t_s < most_s:
             self.step()
             living = [agent for name, agent in self.agents.items() if name not in self.lost]
             for agent in living:
-                note_covered(agent.line.kernel, self.truth, self.world.t_s, covered)
+                note_covered(agent.line.kernel, self.truth, self.world.t_s, covered[agent.me])
             oldest_s = max(oldest_s, *(self.lag_s(name) for name in self.agents if name not in self.lost))
             nearest_m = min(nearest_m, self.nearest_m())
             if merged_s is None and self.world.t_s >= self.air.cut_s[1]:
                 end_tick = (START_NS + round(self.air.cut_s[1] * 1e9)) // round(given.TICK_S * 1e9)
                 if all(agent.logs.checkpoint() >= end_tick for agent in living):
                     merged_s = self.world.t_s - self.air.cut_s[1]
-        done = len(covered) == len(self.truth.sources)
+        done = [
+            max(its.values(), default=0.0) for its in covered.values() if len(its) == len(self.truth.sources)
+        ]
         living = [agent for name, agent in self.agents.items() if name not in self.lost]
         self._look()
         return Flown(
             self.world.t_s,
-            max(covered.values(), default=0.0) if done else None,
+            min(done, default=None),
             max(count_false(agent.line.kernel, self.truth) for agent in living),
             self.agrees(),
             len(self.seen),

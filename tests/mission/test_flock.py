@@ -316,3 +316,19 @@ def test_it_is_told_as_well_where_the_plan_has_just_sent_others() -> None:
     assert me._sent_lately([], 11 * S) == (other,)
     assert me._sent_lately([Hold(0, "r1", "")], 11 * S + 1) == ()
     assert me._sent_lately([other], 12 * S) == () and me._sent_lately([], 14 * S) == ()
+
+
+def test_all_is_found_when_the_first_agent_has_found_it_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the others know, in whatever order they are asked."""
+    team = flock()
+    kernels = {id(agent.line.kernel): name for name, agent in team.agents.items()}
+
+    def note(kernel: object, truth: Truth, t_s: float, covered_at: dict[int, float]) -> None:
+        if kernels.get(id(kernel)) == "r2" and t_s >= 5.0:
+            covered_at.setdefault(0, t_s)
+            covered_at.setdefault(1, t_s)
+        else:
+            covered_at.clear()
+
+    monkeypatch.setattr("mission.lab.flock.note_covered", note)
+    assert team.fly(10.0).time_to_all_s == pytest.approx(5.0, abs=0.5)
