@@ -186,7 +186,7 @@ async def test_a_page_without_a_mission_says_so() -> None:
 async def test_the_page_refuses_to_close_the_whole_field() -> None:
     orders: list[Operator] = []
     page = LivePage.__new__(LivePage)
-    page._loop = asyncio.get_running_loop()
+    page._loop, page._where = asyncio.get_running_loop(), "the page"
     page._runner = SimpleNamespace(  # type: ignore[assignment]
         mission=SimpleNamespace(kernel=SimpleNamespace(engine=SimpleNamespace(robots=("a",)))),
         safety=SimpleNamespace(settings=SafetySettings(("a",), 10.0, 8.0)),
