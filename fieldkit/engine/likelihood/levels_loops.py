@@ -147,7 +147,10 @@ def add_exposure(
 
 
 SILENT_BELOW = 0.8
-"""So many deviations under the threshold a reading would have been that was not heard, where it was expected at it."""
+"""So many deviations under the threshold a reading would have been that was not heard, where it was expected at it.
+
+The mean of a normal density cut off at its own mean, sqrt(2 / pi) deviations below it, stands for all below.
+"""
 
 
 @njit(cache=True, nogil=True)
